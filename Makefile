@@ -1,0 +1,46 @@
+# Two commands do all the set-up: `make demo` (no torch) and `make test` (everything).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+OUT := demo-output
+PIP := $(BIN)/pip install --quiet --constraint constraints.txt
+
+.PHONY: demo test lint bench clean
+
+$(BIN)/pip:
+	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "page-edge needs Python 3.11 or newer; set PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: pyproject.toml constraints.txt | $(BIN)/pip
+	$(PIP) --editable .
+	touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/pip
+	$(PIP) --editable '.[dev]'
+	touch $@ $(VENV)/.runtime
+
+demo: $(VENV)/.runtime
+	@for category in laptop box; do \
+		echo; echo "== $$category =="; \
+		$(BIN)/page-runtime run tests/data/$$category --bundle runtime/bundles/$$category.onnx \
+			--out $(OUT)/$$category.jsonl --overlay $(OUT)/$$category --quiet || exit $$?; \
+		$(BIN)/page-runtime validate tests/data/$$category --bundle runtime/bundles/$$category.onnx \
+			--json $(OUT)/$$category-validate.json --quiet || exit $$?; \
+		$(BIN)/page-runtime bench tests/data/$$category --bundle runtime/bundles/$$category.onnx \
+			--json $(OUT)/$$category-bench.json --quiet || exit $$?; \
+	done
+	@echo; echo "Poses: $(OUT)/laptop.jsonl $(OUT)/box.jsonl"; echo "Pictures:"; ls $(OUT)/laptop/* $(OUT)/box/*
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: $(VENV)/.dev
+	$(BIN)/page-runtime bench tests/data/laptop --bundle runtime/bundles/laptop.onnx --json benchmarks/results/latency-laptop.json
+
+clean:
+	rm -rf $(VENV) $(OUT)

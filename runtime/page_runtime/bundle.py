@@ -1,0 +1,159 @@
+"""The description that travels inside a bundle: one .onnx file with this JSON under its metadata key "page.bundle".
+
+Versioned and closed: an unknown version, a missing field or one too many is refused, so that a bundle is either
+understood whole or not used.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from typing import Any
+
+from page_runtime.category import Category, Joint, Part
+
+METADATA_KEY = "page.bundle"
+METADATA_VERSION = 1
+
+
+class BundleError(ValueError):
+    """The file is not a bundle this version can run; the message says why."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BundleMetadata:
+    """What the runtime must know to feed the network and read its answer.
+
+    num_points, image_size: N and S of its inputs. voxel_m: rho of the scorer. opset: of the graph.
+    provenance: facts for people (commit, recipe, frames, figures); the runtime reads none.
+    """
+
+    category: Category
+    num_points: int
+    image_size: int
+    voxel_m: float
+    opset: int
+    provenance: dict[str, Any]
+
+    def to_json(self) -> str:
+        """The JSON document; `from_json` gives the same metadata back."""
+        category = self.category
+        return json.dumps(
+            {
+                "version": METADATA_VERSION,
+                "category": category.name,
+                "num_voted": category.num_voted,
+                "region_radius_m": category.region_radius_m,
+                "parts": [
+                    {
+                        "name": part.name,
+                        "frame": part.frame,
+                        "keypoints_unit": part.keypoints_unit.tolist(),
+                        "extents_unit": part.extents_unit.tolist(),
+                        "diagonal_range_m": list(part.diagonal_range_m),
+                    }
+                    for part in category.parts
+                ],
+                "joints": [
+                    {f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints
+                ],
+                "num_points": self.num_points,
+                "image_size": self.image_size,
+                "voxel_m": self.voxel_m,
+                "opset": self.opset,
+                "provenance": self.provenance,
+            },
+            indent=1,
+        )
+
+    @staticmethod
+    def from_json(text: str) -> BundleMetadata:
+        """Parse and check; raises BundleError that names the field."""
+        try:
+            document = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise BundleError(f"bundle metadata: expected JSON, got {error}") from error
+        if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
+            version = document.get("version") if isinstance(document, dict) else None
+            raise BundleError(
+                f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again with this release"
+            )
+        top = _closed(document, "bundle", _TOP_FIELDS)
+        parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts"))
+        joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints"))
+        try:
+            return BundleMetadata(
+                category=Category(
+                    name=str(top["category"]),
+                    parts=parts,
+                    joints=joints,
+                    num_voted=int(top["num_voted"]),
+                    region_radius_m=float(top["region_radius_m"]),
+                ),
+                num_points=int(top["num_points"]),
+                image_size=int(top["image_size"]),
+                voxel_m=float(top["voxel_m"]),
+                opset=int(top["opset"]),
+                provenance=dict(top["provenance"]),
+            )
+        except (TypeError, ValueError) as error:
+            raise BundleError(f"bundle metadata: {error}") from error
+
+
+_TOP_FIELDS = {
+    "version", "category", "num_voted", "region_radius_m", "parts", "joints", "num_points", "image_size", "voxel_m",
+    "opset", "provenance",
+}  # fmt: skip
+_PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m"}
+_JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits"}
+
+
+def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
+    if not isinstance(entry, dict):
+        raise BundleError(
+            f"bundle metadata: expected each {what} to be an object, got {type(entry).__name__}"
+        )
+    missing, extra = expected - entry.keys(), entry.keys() - expected
+    if missing or extra:
+        raise BundleError(
+            f"bundle metadata, {what}: missing {sorted(missing)}, not understood {sorted(extra)}"
+        )
+    return entry
+
+
+def _listed(entry: dict[str, Any], name: str) -> list[Any]:
+    if not isinstance(entry[name], list):
+        raise BundleError(f"bundle metadata, {name}: expected a list, got {type(entry[name]).__name__}")
+    return entry[name]
+
+
+def _part(entry: dict[str, Any]) -> Part:
+    try:
+        low, high = entry["diagonal_range_m"]
+        return Part(
+            name=str(entry["name"]),
+            frame=str(entry["frame"]),
+            keypoints_unit=entry["keypoints_unit"],
+            extents_unit=entry["extents_unit"],
+            diagonal_range_m=(float(low), float(high)),
+        )
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"bundle metadata, part {entry['name']!r}: {error}") from error
+
+
+def _joint(entry: dict[str, Any]) -> Joint:
+    try:
+        if entry["kind"] not in ("free", "revolute", "prismatic"):
+            raise ValueError(f"kind: expected free, revolute or prismatic, got {entry['kind']!r}")
+        x, y, z = (float(value) for value in entry["axis"])
+        low, high = (float(value) for value in entry["limits"])
+        return Joint(
+            name=str(entry["name"]),
+            parent=int(entry["parent"]),
+            child=int(entry["child"]),
+            kind=entry["kind"],
+            axis=(x, y, z),
+            limits=(low, high),
+        )
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"bundle metadata, joint {entry['name']!r}: {error}") from error

@@ -1,0 +1,101 @@
+"""What is known of an object category before any frame is seen: its parts, their keypoints, its joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from page_runtime.geometry import Array
+
+JointKind = Literal["free", "revolute", "prismatic"]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Part:
+    """A rigid part. Its canonical frame has its origin at the centre of the part's box; `frame` says the axes in words.
+
+    keypoints_unit: (n,3) in units of the part's diagonal, canonical frame; the first `Category.num_voted` are voted,
+    all of them enter the pose refinement (METHOD 10, 11). extents_unit: (3,) mean extents of the category's parts
+    divided by their diagonal. diagonal_range_m: smallest and largest plausible diagonal.
+    """
+
+    name: str
+    frame: str
+    keypoints_unit: Array
+    extents_unit: Array
+    diagonal_range_m: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        keypoints = np.asarray(self.keypoints_unit, dtype=float)
+        extents = np.asarray(self.extents_unit, dtype=float)
+        if (
+            keypoints.ndim != 2
+            or keypoints.shape[1] != 3
+            or len(keypoints) < 3
+            or not np.isfinite(keypoints).all()
+        ):
+            raise ValueError(
+                f"Part {self.name!r}.keypoints_unit: expected finite (n>=3, 3), got shape {keypoints.shape}"
+            )
+        if extents.shape != (3,) or not (extents > 0).all():
+            raise ValueError(
+                f"Part {self.name!r}.extents_unit: expected three positive numbers, got {extents.tolist()}"
+            )
+        low, high = self.diagonal_range_m
+        if not 0 < low < high:
+            raise ValueError(
+                f"Part {self.name!r}.diagonal_range_m: expected 0 < low < high, got {self.diagonal_range_m}"
+            )
+        object.__setattr__(self, "keypoints_unit", keypoints)
+        object.__setattr__(self, "extents_unit", extents)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Joint:
+    """How part `child` moves against part `parent` (indices into Category.parts).
+
+    axis: (3,) unit vector in the parent's frame, the same in the child's at state 0; a revolute state is the angle in
+    radians by the right-hand rule, a prismatic one metres along the axis. limits: (low, high) of the state.
+    """
+
+    name: str
+    parent: int
+    child: int
+    kind: JointKind
+    axis: tuple[float, float, float]
+    limits: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Category:
+    """A category of articulated objects; network class k is parts[k], the last class is background.
+
+    num_voted: how many leading keypoints of every part are voted. region_radius_m: points farther than this from the
+    region's centre cannot belong to the object.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    joints: tuple[Joint, ...]
+    num_voted: int
+    region_radius_m: float
+
+    def __post_init__(self) -> None:
+        counts = {len(part.keypoints_unit) for part in self.parts}
+        if len(counts) != 1 or not 3 <= self.num_voted <= min(counts):
+            raise ValueError(
+                f"Category {self.name!r}: expected the same number of keypoints in every part and 3 <= num_voted <= it, "
+                f"got {sorted(counts)} keypoints and num_voted {self.num_voted}"
+            )
+        for joint in self.joints:
+            if not (0 <= joint.parent < len(self.parts) and 0 <= joint.child < len(self.parts)):
+                raise ValueError(
+                    f"Joint {joint.name!r}: parent {joint.parent} or child {joint.child} is not a part index"
+                )
+
+    @property
+    def num_keypoints(self) -> int:
+        """Keypoints of every part, voted or not."""
+        return len(self.parts[0].keypoints_unit)

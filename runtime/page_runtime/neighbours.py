@@ -1,0 +1,74 @@
+"""The neighbour search of the point branch: one implementation, used in training and on the device alike.
+
+Levels are prefixes of the progressive point order (sampling.py): level l is the first LEVELS[l] points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEVELS = (2048, 512, 128, 32)
+GROUP_SIZE = 16
+INTERPOLATION_SIZE = 3
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Neighbours:
+    """Indices into the finer (group) or the coarser (up) level, int32.
+
+    group1 (512,16) into 2048, group2 (128,16) into 512, group3 (32,16) into 128;
+    up1 (2048,3) into 512, up2 (512,3) into 128, up3 (128,3) into 32.
+    """
+
+    group1: NDArray[np.int32]
+    group2: NDArray[np.int32]
+    group3: NDArray[np.int32]
+    up1: NDArray[np.int32]
+    up2: NDArray[np.int32]
+    up3: NDArray[np.int32]
+
+
+def nearest(queries: NDArray[np.float32], points: NDArray[np.float32], count: int) -> NDArray[np.int32]:
+    """Indices (Q, count) int32 of the `count` points (P,3) nearest to each query (Q,3), in no particular order.
+
+    Squared distances are non-negative floats, whose bit patterns order like integers: the index goes into their low
+    bits and one integer partition does what an argpartition needs four times as long for. Distances equal to within
+    2^-12 of their value count as ties, which go to the lower index.
+    """
+    bits = max(int(len(points) - 1).bit_length(), 1)
+    mask = np.int32((1 << bits) - 1)
+    lifted_queries = np.empty((len(queries), 5), np.float32)
+    lifted_queries[:, :3] = -2.0 * queries
+    lifted_queries[:, 3] = (queries * queries).sum(axis=1)
+    lifted_queries[:, 4] = 1.0
+    lifted_points = np.empty((len(points), 5), np.float32)
+    lifted_points[:, :3] = points
+    lifted_points[:, 3] = 1.0
+    lifted_points[:, 4] = (points * points).sum(axis=1)
+    squared = lifted_queries @ lifted_points.T
+    np.maximum(squared, 0.0, out=squared)
+    keys = squared.view(np.int32)
+    keys &= ~mask
+    keys |= np.arange(len(points), dtype=np.int32)
+    keys.partition(count - 1, axis=1)
+    return keys[:, :count] & mask
+
+
+def find_neighbours(points: NDArray[np.float32]) -> Neighbours:
+    """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision."""
+    if points.shape != (LEVELS[0], 3):
+        raise ValueError(
+            f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many"
+        )
+    level = [points[:count] for count in LEVELS]
+    return Neighbours(
+        group1=nearest(level[1], level[0], GROUP_SIZE),
+        group2=nearest(level[2], level[1], GROUP_SIZE),
+        group3=nearest(level[3], level[2], GROUP_SIZE),
+        up1=nearest(level[0], level[1], INTERPOLATION_SIZE),
+        up2=nearest(level[1], level[2], INTERPOLATION_SIZE),
+        up3=nearest(level[2], level[3], INTERPOLATION_SIZE),
+    )

@@ -1,0 +1,112 @@
+"""The exported network in an onnxruntime session; the only module that imports onnxruntime."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
+from page_runtime.neighbours import LEVELS, Neighbours
+from page_runtime.sampling import RegionSample
+
+INPUT_NAMES = ("image", "points", "pixels", "group1", "group2", "group3", "up1", "up2", "up3")
+OUTPUT_NAMES = ("part_logits", "radii", "side_logits", "log_extents")
+MAX_BUNDLE_BYTES = 256 << 20
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class NetworkOutput:
+    """part_logits (N,K+1), background last; radii_m (N,n) to each point's own part's keypoints; side_logits
+    (N,n_voted), positive where the keypoint is on the camera's side of the surface; extents_m (K,3)."""
+
+    part_logits: NDArray[np.float32]
+    radii_m: NDArray[np.float32]
+    side_logits: NDArray[np.float32]
+    extents_m: NDArray[np.float32]
+
+
+class Network:
+    """A loaded bundle, ready to run."""
+
+    def __init__(self, path: Path | str, *, threads: int = 0) -> None:
+        """Load a bundle; threads 0 leaves the number to onnxruntime. Raises BundleError with the reason."""
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise BundleError(f"bundle: no file {self.path}; expected a .onnx file written by page-export")
+        size = self.path.stat().st_size
+        if not 0 < size <= MAX_BUNDLE_BYTES:
+            raise BundleError(f"bundle {self.path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {size}")
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.log_severity_level = 3
+        try:
+            self.session = ort.InferenceSession(
+                self.path.read_bytes(), options, providers=["CPUExecutionProvider"]
+            )
+        except (
+            Exception
+        ) as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
+            reason = str(error).splitlines()[0]
+            raise BundleError(
+                f"bundle {self.path}: onnxruntime cannot load it ({reason}); is it an exported, complete .onnx file?"
+            ) from error
+        document = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        if document is None:
+            raise BundleError(
+                f"bundle {self.path}: an ONNX model, but without {METADATA_KEY!r} in its metadata; export it with page-export"
+            )
+        self.metadata = BundleMetadata.from_json(document)
+        self._check_signature()
+
+    def _check_signature(self) -> None:
+        """The graph must take and give what its metadata says."""
+        names = tuple(value.name for value in self.session.get_inputs())
+        outputs = tuple(value.name for value in self.session.get_outputs())
+        if names != INPUT_NAMES or outputs != OUTPUT_NAMES:
+            raise BundleError(
+                f"bundle {self.path}: expected inputs {INPUT_NAMES} and outputs {OUTPUT_NAMES}, got {names} and {outputs}"
+            )
+        metadata = self.metadata
+        if metadata.num_points != LEVELS[0]:
+            raise BundleError(
+                f"bundle {self.path}: expected num_points {LEVELS[0]}, got {metadata.num_points}"
+            )
+        shapes = {
+            value.name: value.shape for value in (*self.session.get_inputs(), *self.session.get_outputs())
+        }
+        parts, keypoints = len(metadata.category.parts), metadata.category.num_keypoints
+        expected = {
+            "image": [1, 3, metadata.image_size, metadata.image_size],
+            "points": [1, metadata.num_points, 3],
+            "part_logits": [1, metadata.num_points, parts + 1],
+            "radii": [1, metadata.num_points, keypoints],
+            "side_logits": [1, metadata.num_points, metadata.category.num_voted],
+            "log_extents": [1, parts, 3],
+        }
+        for name, shape in expected.items():
+            if shapes[name] != shape:
+                raise BundleError(
+                    f"bundle {self.path}: expected {name} {shape} by its metadata, got {shapes[name]}"
+                )
+
+    def run(self, sample: RegionSample, neighbours: Neighbours) -> NetworkOutput:
+        """One forward pass for all parts."""
+        unit = np.float32(self.metadata.category.region_radius_m)
+        image = np.ascontiguousarray(sample.image.transpose(2, 0, 1)[None], dtype=np.float32)
+        image *= np.float32(1 / 255)
+        points = (sample.points_camera - sample.center_camera)[None] / unit
+        tables = {name: getattr(neighbours, name)[None] for name in INPUT_NAMES[3:]}
+        feeds = {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
+        logits, radii, sides, log_extents = (
+            np.asarray(value) for value in self.session.run(OUTPUT_NAMES, feeds)
+        )
+        return NetworkOutput(
+            part_logits=logits[0],
+            radii_m=radii[0] * unit,
+            side_logits=sides[0],
+            extents_m=np.exp(log_extents[0].astype(np.float32)),
+        )

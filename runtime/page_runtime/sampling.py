@@ -1,0 +1,144 @@
+"""From a frame and a region to what the network takes: a colour crop and N visible points with their pixels.
+
+Training and run time call this same code, so a network sees on the device exactly what it learned from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.camera import Camera
+from page_runtime.frame import RgbdFrame
+
+Region = tuple[int, int, int, int]
+
+REGION_MARGIN = 0.1
+MIN_POINTS = 64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RegionSample:
+    """The visible points of a region.
+
+    image: (S,S,3) uint8 RGB crop. points_camera: (N,3) float32 metres, in progressive order: every prefix covers the
+    region evenly, so the coarser levels of the network are prefixes and no farthest-point search is needed.
+    pixels: (N,2) float32 position of each point in the crop, px. center_camera: (3,) their mean. camera: the crop's.
+    source_index: (N,) index of each point in the flattened depth image it came from. num_distinct: points before
+    repetition (fewer than N valid readings are repeated in order).
+    """
+
+    image: NDArray[np.uint8]
+    points_camera: NDArray[np.float32]
+    pixels: NDArray[np.float32]
+    center_camera: NDArray[np.float32]
+    camera: Camera
+    source_index: NDArray[np.int64]
+    num_distinct: int
+
+
+@lru_cache(maxsize=16)
+def progressive_order(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(rows, columns) of all pixels of a side x side grid such that every prefix is spread evenly over the grid.
+
+    The order in which the R2 sequence (the plastic number's additive recurrence, a low-discrepancy sequence)
+    first touches the pixels.
+    """
+    plastic = 1.32471795724474602596
+    n = np.arange(6 * side * side)
+    columns = ((0.5 + n / plastic) % 1.0 * side).astype(np.intp)
+    rows = ((0.5 + n / plastic**2) % 1.0 * side).astype(np.intp)
+    flat = rows * side + columns
+    _, first = np.unique(flat, return_index=True)
+    order = flat[np.sort(first)]
+    untouched = np.setdiff1d(np.arange(side * side), order, assume_unique=True)
+    order = np.concatenate([order, untouched])
+    return order // side, order % side
+
+
+def square_region(region: Region, margin: float = REGION_MARGIN) -> Region:
+    """The square around `region` (x, y, w, h) px, widened by `margin` of its longer side on every side."""
+    x, y, width, height = region
+    side = max(2, round(max(width, height) * (1.0 + 2.0 * margin)))
+    return round(x + (width - side) / 2), round(y + (height - side) / 2), side, side
+
+
+def check_region(region: Region, width: int, height: int) -> Region:
+    """`region` unchanged, or a ValueError when it is empty or does not overlap the width x height image."""
+    x, y, w, h = region
+    if w <= 0 or h <= 0:
+        raise ValueError(f"region: expected a positive size x,y,w,h in pixels, got {x},{y},{w},{h}")
+    if x >= width or y >= height or x + w <= 0 or y + h <= 0:
+        raise ValueError(
+            f"region: {x},{y},{w},{h} lies outside the {width}x{height} image; give x,y,w,h in pixels of the colour image"
+        )
+    return region
+
+
+def crop_color(color: NDArray[np.uint8], square: Region, size: int) -> NDArray[np.uint8]:
+    """(size,size,3) uint8: the square resized, black where it reaches outside the image."""
+    x, y, side, _ = square
+    height, width = color.shape[:2]
+    x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, width), min(y + side, height)
+    crop = color[y0:y1, x0:x1]
+    if (x0, y0, x1, y1) != (x, y, x + side, y + side):
+        crop = cv2.copyMakeBorder(crop, y0 - y, y + side - y1, x0 - x, x + side - x1, cv2.BORDER_CONSTANT)
+    interpolation = cv2.INTER_AREA if side > size else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(crop, (size, size), interpolation=interpolation), dtype=np.uint8)
+
+
+def sample_region(
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    image_size: int,
+    num_points: int,
+    radius_m: float,
+    margin: float = REGION_MARGIN,
+) -> RegionSample | str:
+    """Sample `num_points` visible points of `region` (x, y, w, h px), or say why there are none.
+
+    Depth is read, never interpolated: each point is a real reading at its own pixel. Readings farther than `radius_m`
+    from the region's centre (its central ray at the median depth of its central half) are background by distance.
+    `margin` widens the region as square_region says.
+    """
+    check_region(region, frame.camera.width, frame.camera.height)
+    square = square_region(region, margin)
+    x, y, side, _ = square
+    grid = min(side, image_size)
+    rows, columns = progressive_order(grid)
+    lattice = np.floor((np.arange(grid) + 0.5) * (side / grid)).astype(np.intp)
+    v, u = (lattice + y)[rows], (lattice + x)[columns]
+    height, width = frame.depth_m.shape
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    v, u, rows, columns = v[inside], u[inside], rows[inside], columns[inside]
+    depth = frame.depth_m[v, u]
+    central = (np.abs(rows - grid / 2) < grid / 4) & (np.abs(columns - grid / 2) < grid / 4)
+    valid = np.isfinite(depth) & (depth > 0)
+    central_depth = depth[valid & central] if (valid & central).any() else depth[valid]
+    if valid.sum() < MIN_POINTS:
+        return f"not seen: {int(valid.sum())} depth readings in the region, at least {MIN_POINTS} are needed"
+    pixels = np.stack([u, v], axis=-1)[valid].astype(np.float32)
+    points = frame.camera.backproject(pixels, depth[valid]).astype(np.float32)
+    middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
+    anchor = frame.camera.backproject(middle, np.float64(np.median(central_depth)))
+    near = np.flatnonzero(((points - anchor.astype(np.float32)) ** 2).sum(axis=1) < radius_m**2)[:num_points]
+    if len(near) < MIN_POINTS:
+        return f"not seen: {len(near)} depth readings within {radius_m:.2f} m of the region's centre, at least {MIN_POINTS} are needed"
+    chosen = np.resize(near, num_points)
+    scale = image_size / side
+    crop_pixels = (pixels[chosen] - np.array([x, y], np.float32) + 0.5) * np.float32(scale) - 0.5
+    source = np.flatnonzero(valid)[chosen]
+    return RegionSample(
+        image=crop_color(frame.color, square, image_size),
+        points_camera=points[chosen],
+        pixels=crop_pixels.astype(np.float32),
+        center_camera=points[near].mean(axis=0),
+        camera=frame.camera.cropped(x, y, side, side).resized(image_size, image_size),
+        source_index=(v[source] * width + u[source]).astype(np.int64),
+        num_distinct=len(near),
+    )
