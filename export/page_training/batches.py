@@ -1,0 +1,148 @@
+"""Records into augmented network inputs and targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from page_runtime.category import Category
+from page_training.losses import Targets
+from page_training.network import NetworkInputs
+
+NEIGHBOUR_TABLES = ("group1", "group2", "group3", "up1", "up2", "up3")
+
+
+@dataclass(frozen=True, slots=True)
+class Augmentation:
+    """How far a sample is changed. The probabilities and sigmas were set once by eye, not tuned.
+
+    scale_sigma: of the object's size (its distance follows, so the picture stays right). turn_sigma_rad: of a small
+    rotation of the points alone. colour: gains and offsets of the picture.
+    """
+
+    flip_probability: float = 0.5
+    scale_sigma: float = 0.08
+    turn_sigma_rad: float = 0.12
+    gain_sigma: float = 0.25
+    tint_sigma: float = 0.12
+    offset_sigma: float = 0.08
+    noise_sigma: float = 0.03
+    shuffle_probability: float = 0.15
+    gray_probability: float = 0.15
+    blank_probability: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    inputs: NetworkInputs
+    targets: Targets
+    dense: Tensor
+
+
+def _turns(generator: torch.Generator, batch: int, sigma: float) -> Tensor:
+    """(B,3,3) random rotations of about `sigma` radians."""
+    vector = torch.randn(batch, 3, generator=generator) * sigma
+    x, y, z = vector.unbind(1)
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).view(-1, 3, 3)
+    return torch.linalg.matrix_exp(skew)
+
+
+def _augment_image(image: Tensor, generator: torch.Generator, settings: Augmentation) -> Tensor:
+    """image (B,3,S,S) in [0,1] with other light, tint, hue order and noise; some gray, some blank."""
+    batch = len(image)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(batch, *shape, generator=generator)
+
+    def chosen(probability: float) -> Tensor:
+        return torch.rand(batch, generator=generator) < probability
+
+    for row in chosen(settings.shuffle_probability).nonzero().flatten().tolist():
+        image[row] = image[row, torch.randperm(3, generator=generator)]
+    gray = chosen(settings.gray_probability)
+    image[gray] = image[gray].mean(dim=1, keepdim=True)
+    gain = (settings.gain_sigma * normal(1, 1, 1) + settings.tint_sigma * normal(3, 1, 1)).exp()
+    image = image * gain + settings.offset_sigma * normal(1, 1, 1)
+    grain = torch.randn(image.shape[2:], generator=generator)
+    image = (image + settings.noise_sigma * normal(1, 1, 1).abs() * grain).clamp_(0.0, 1.0)
+    image[chosen(settings.blank_probability)] = 0.5
+    return image
+
+
+def choose_dense(labels: Tensor, count: int, num_classes: int, generator: torch.Generator) -> Tensor:
+    """(B,count) distinct point indices, small parts over-represented by the square root of their rarity."""
+    members = torch.nn.functional.one_hot(labels, num_classes).sum(dim=1)
+    weight = members.clamp_min(1).to(torch.float32).rsqrt().gather(1, labels)
+    exponential = torch.empty(labels.shape).exponential_(generator=generator)
+    return (weight / exponential).topk(count, dim=1, sorted=False).indices
+
+
+def make_batch(
+    records: NDArray[Any],
+    category: Category,
+    *,
+    dense_points: int,
+    generator: torch.Generator,
+    augmentation: Augmentation | None,
+) -> Batch:
+    """A training batch from records of cache.record_type; no augmentation gives the frames as they are."""
+    num_parts = len(category.parts)
+    image = torch.from_numpy(records["image"].astype(np.float32) / 255.0).permute(0, 3, 1, 2)
+    points = torch.from_numpy(records["points"].copy())
+    pixels = torch.from_numpy(records["pixels"].copy())
+    normals = torch.from_numpy(records["normals"].astype(np.float32))
+    labels = torch.from_numpy(records["labels"].astype(np.int64))
+    T_center_part = torch.from_numpy(records["T_center_part"].copy())
+    extents_m = torch.from_numpy(records["extents_m"].copy())
+    R, t = T_center_part[..., :3, :3], T_center_part[..., :3, 3]
+    batch = len(records)
+    if augmentation is not None:
+        image = _augment_image(image, generator, augmentation)
+        flip = torch.rand(batch, generator=generator) < augmentation.flip_probability
+        image[flip] = image[flip].flip(-1)
+        pixels[flip, :, 0] = (image.shape[-1] - 1) - pixels[flip, :, 0]
+        sign = torch.where(flip, -1.0, 1.0).view(-1, 1, 1)
+        mirror = torch.diag_embed(torch.cat([sign, torch.ones(batch, 1, 2)], dim=2).squeeze(1))
+        # A mirrored object is again one of its category, with x of the part frame mirrored too: R' = F R F.
+        turn = _turns(generator, batch, augmentation.turn_sigma_rad) @ mirror
+        scale = (augmentation.scale_sigma * torch.randn(batch, generator=generator)).exp().view(-1, 1, 1)
+        points = scale * (points @ turn.transpose(1, 2))
+        normals = normals @ turn.transpose(1, 2)
+        t = scale * (t @ turn.transpose(1, 2))
+        R = turn.unsqueeze(1) @ R @ mirror.unsqueeze(1)
+        extents_m = scale * extents_m
+    diagonals_m = extents_m.norm(dim=-1)
+    keypoints_unit = torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).float()
+    keypoints = (diagonals_m[..., None, None] * keypoints_unit) @ R.transpose(-1, -2) + t.unsqueeze(-2)
+
+    dense = choose_dense(labels, dense_points, num_parts + 1, generator)
+    dense_labels = labels.gather(1, dense)
+    own = dense_labels.clamp_max(num_parts - 1)
+    dense_keypoints = keypoints[torch.arange(batch).unsqueeze(1), own]
+    dense_points_m = torch.take_along_dim(points, dense.unsqueeze(-1), dim=1)
+    offset = dense_keypoints - dense_points_m.unsqueeze(2)
+    dense_normals = torch.take_along_dim(normals, dense.unsqueeze(-1), dim=1)
+    facing = (offset[:, :, : category.num_voted] * dense_normals.unsqueeze(2)).sum(-1)
+    unit = category.region_radius_m
+    tables = [torch.from_numpy(records[name].astype(np.int64)) for name in NEIGHBOUR_TABLES]
+    return Batch(
+        inputs=NetworkInputs(
+            image.contiguous(memory_format=torch.channels_last), points / unit, pixels, *tables
+        ),
+        targets=Targets(
+            labels=dense_labels,
+            coarse_labels=labels[:, : tables[0].shape[1]],
+            radii=offset.norm(dim=-1) / unit,
+            keypoints=dense_keypoints / unit,
+            sides=(facing > 0).float(),
+            extents_m=extents_m,
+            diagonals=diagonals_m / unit,
+        ),
+        dense=dense,
+    )

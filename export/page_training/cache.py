@@ -1,0 +1,121 @@
+"""Training samples on disk: shards of fixed-size records, written once, read at random through a memory map.
+
+Making a frame costs about as much as learning from it once, so frames are made ahead and used a few times. A shard
+depends on nothing but (category, split, shard number): any process may make any of them, in any order, and an
+interrupted run goes on with the shards that are missing. The bound on disk is the number of shards asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.category import Category
+from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, find_neighbours
+from page_runtime.sampling import RegionSample, sample_region
+from page_training.scenes import SceneView, sample_scene, training_view
+
+IMAGE_SIZE = 224
+SHARD_SIZE = 256
+SPLITS = ("train", "validation", "test")
+
+
+def record_type(num_parts: int) -> np.dtype[Any]:
+    """One sample. Points are centred, metres; labels num_parts = background; T_center_part in the centred frame."""
+    return np.dtype([
+        ("image", np.uint8, (IMAGE_SIZE, IMAGE_SIZE, 3)),
+        ("points", np.float32, (LEVELS[0], 3)),
+        ("pixels", np.float32, (LEVELS[0], 2)),
+        ("normals", np.int8, (LEVELS[0], 3)),
+        ("labels", np.uint8, (LEVELS[0],)),
+        ("group1", np.int16, (LEVELS[1], GROUP_SIZE)),
+        ("group2", np.int16, (LEVELS[2], GROUP_SIZE)),
+        ("group3", np.int16, (LEVELS[3], GROUP_SIZE)),
+        ("up1", np.int16, (LEVELS[0], INTERPOLATION_SIZE)),
+        ("up2", np.int16, (LEVELS[1], INTERPOLATION_SIZE)),
+        ("up3", np.int16, (LEVELS[2], INTERPOLATION_SIZE)),
+        ("T_center_part", np.float32, (num_parts, 4, 4)),
+        ("extents_m", np.float32, (num_parts, 3)),
+        ("visible_share", np.float32, (num_parts,)),
+    ])  # fmt: skip
+
+
+def shard_generator(category: str, split: str, shard: int) -> np.random.Generator:
+    """The random stream of one shard; streams of different splits never meet, so no instance is in two of them."""
+    return np.random.default_rng([zlib.crc32(category.encode()), SPLITS.index(split), shard])
+
+
+def fill_record(record: Any, view: SceneView, sample: RegionSample, num_parts: int) -> None:
+    """Write one view and its sampled points into a record of `record_type`."""
+    index = sample.source_index
+    label = view.part_mask.ravel()[index].astype(np.int64) - 1
+    record["image"] = sample.image
+    record["points"] = sample.points_camera - sample.center_camera
+    record["pixels"] = sample.pixels
+    record["normals"] = np.round(view.normals_camera.reshape(-1, 3)[index] * 127)
+    record["labels"] = np.where(label < 0, num_parts, label)
+    neighbours = find_neighbours(record["points"])
+    for name in ("group1", "group2", "group3", "up1", "up2", "up3"):
+        record[name] = getattr(neighbours, name)
+    for k, truth in enumerate(view.truths):
+        record["T_center_part"][k] = truth.T_camera_part
+        record["T_center_part"][k, :3, 3] -= sample.center_camera
+        record["extents_m"][k] = truth.extents_m
+        record["visible_share"][k] = truth.visible_share
+
+
+def make_shard(category: Category, split: str, shard: int, path: Path) -> None:
+    """Make one shard and write it whole or not at all."""
+    rng = shard_generator(category.name, split, shard)
+    records = np.zeros(SHARD_SIZE, record_type(len(category.parts)))
+    filled = 0
+    while filled < SHARD_SIZE:
+        view = training_view(sample_scene(category.name, rng), rng, IMAGE_SIZE)
+        sample = sample_region(
+            view.frame,
+            (0, 0, IMAGE_SIZE, IMAGE_SIZE),
+            image_size=IMAGE_SIZE,
+            num_points=LEVELS[0],
+            radius_m=category.region_radius_m,
+            margin=0.0,
+        )
+        if isinstance(sample, str):
+            continue
+        fill_record(records[filled], view, sample, len(category.parts))
+        filled += 1
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    with partial.open("wb") as file:
+        np.save(file, records)
+    partial.rename(path)
+
+
+def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
+    """Where a shard lives under the cache folder."""
+    return root / category / f"{split}-{shard:04d}.npy"
+
+
+def make_shards(
+    category: Category,
+    split: str,
+    shards: range,
+    root: Path,
+    on_shard: Callable[[Path], None] = lambda _: None,
+) -> None:
+    """Make the missing ones of `shards`; `on_shard` hears of each as it is there."""
+    for shard in shards:
+        path = shard_path(root, category.name, split, shard)
+        if not path.exists():
+            make_shard(category, split, shard, path)
+        on_shard(path)
+
+
+def open_shards(root: Path, category: str, split: str) -> list[NDArray[Any]]:
+    """Memory maps of all shards there are at the moment, in order."""
+    return [np.load(path, mmap_mode="r") for path in sorted((root / category).glob(f"{split}-*.npy"))]

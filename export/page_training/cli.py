@@ -1,0 +1,162 @@
+"""page-train: make scenes, look at them, train on them, record test splits."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from page_training.cache import SHARD_SIZE, SPLITS, make_shards
+from page_training.categories import CATEGORIES, category_named
+from page_training.train import Report, TrainingConfig, train
+
+DEFAULT_CACHE = Path("export/cache")
+DEFAULT_RUNS = Path("export/checkpoints")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run page-train; returns the exit code: 0 done, 2 bad input, 130 interrupted."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    try:
+        options.run_command(options)
+    except (ValueError, OSError) as error:
+        print(f"page-train: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("page-train: interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="page-train", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run, description: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=description, description=description)
+        sub.add_argument("category", choices=sorted(CATEGORIES))
+        sub.set_defaults(run_command=run)
+        return sub
+
+    scenes = command("scenes", _scenes, "make the missing training frames of a category")
+    scenes.add_argument(
+        "--frames", type=int, default=12_000, help="training frames in all (default: %(default)s)"
+    )
+    scenes.add_argument("--validation-frames", type=int, default=SHARD_SIZE)
+    scenes.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="about 0.25 MB a frame")
+    defaults = TrainingConfig(category="")
+    pose = command("pose", _pose, "train the pose network, or go on with it")
+    pose.add_argument(
+        "--samples", type=int, default=defaults.samples, help="frames seen (default: %(default)s)"
+    )
+    pose.add_argument("--batch-size", type=int, default=defaults.batch_size)
+    pose.add_argument("--learning-rate", type=float, default=defaults.learning_rate)
+    pose.add_argument("--threads", type=int, default=defaults.threads)
+    pose.add_argument("--seed", type=int, default=defaults.seed)
+    pose.add_argument("--cache", type=Path, default=DEFAULT_CACHE)
+    pose.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
+    preview = command("preview", _preview, "write a contact sheet of scenes: colour, depth, part axes")
+    preview.add_argument("--out", type=Path, required=True, help="a .png file")
+    preview.add_argument("--rows", type=int, default=4)
+    preview.add_argument("--columns", type=int, default=8)
+    preview.add_argument("--seed", type=int, default=0)
+    record = command("record", _record, "write a recording with truth of whole frames of unseen instances")
+    record.add_argument("--out", type=Path, required=True, help="a folder that does not exist yet")
+    record.add_argument("--frames", type=int, default=200)
+    record.add_argument("--split", choices=SPLITS[1:], default="test")
+    record.add_argument("--seed", type=int, default=0)
+    return parser
+
+
+def _progress() -> Progress:
+    """A bar on a terminal; elsewhere rich prints nothing and the commands print lines of their own."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not sys.stderr.isatty(),
+    )
+
+
+def _say(line: str) -> None:
+    if not sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
+
+
+def _scenes(options: argparse.Namespace) -> None:
+    category = category_named(options.category)
+    with _progress() as progress:
+        for split, frames in (("validation", options.validation_frames), ("train", options.frames)):
+            shards = -(-frames // SHARD_SIZE)
+            task = progress.add_task(f"{category.name} {split}", total=shards)
+
+            def done(path: Path, task=task) -> None:
+                progress.advance(task)
+                _say(f"{path}")
+
+            make_shards(category, split, range(shards), options.cache, done)
+
+
+def _pose(options: argparse.Namespace) -> None:
+    config = TrainingConfig(
+        category=options.category,
+        samples=options.samples,
+        batch_size=options.batch_size,
+        learning_rate=options.learning_rate,
+        threads=options.threads,
+        seed=options.seed,
+    )
+    run = options.run or DEFAULT_RUNS / options.category
+    with _progress() as progress:
+        task = progress.add_task(options.category, total=None)
+
+        def report(news: Report) -> None:
+            shown = news.validation or news.losses
+            figures = "  ".join(f"{name} {value:.3f}" for name, value in shown.items())
+            kind = "validation" if news.validation else "training"
+            line = f"step {news.step}/{news.steps}  {news.samples_per_s:.1f} frames/s  {kind}: {figures}"
+            progress.update(task, completed=news.step, total=news.steps, description=line)
+            _say(line)
+
+        checkpoint = train(config, category_named(options.category), options.cache, run, report)
+    print(checkpoint)
+
+
+def _preview(options: argparse.Namespace) -> None:
+    import cv2
+
+    from page_training.scenes.preview import contact_sheet
+
+    sheet = contact_sheet(
+        options.category, np.random.default_rng(options.seed), options.rows, options.columns
+    )
+    if not cv2.imwrite(str(options.out), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR)):
+        raise OSError(f"cannot write {options.out}")
+    print(options.out)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from page_training.record import record_split
+
+    with _progress() as progress:
+        task = progress.add_task(f"{options.category} {options.split}", total=options.frames)
+        record_split(
+            options.category,
+            options.out,
+            split=options.split,
+            frames=options.frames,
+            seed=options.seed,
+            on_frame=lambda: progress.advance(task),
+        )
+    print(options.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""The training loss (Eq. 19-21) and the auxiliary terms a CPU trial showed to be needed (TRAINING 3, 7)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from page_training.network import NetworkOutputs
+
+SEGMENTATION_WEIGHT = 0.25
+RADIUS_WEIGHT = 0.75
+COARSE_WEIGHT = 0.1
+KEYPOINT_WEIGHT = 0.25
+SIDE_WEIGHT = 0.05
+EXTENT_WEIGHT = 0.2
+MIN_PART_POINTS = 6
+RADIUS_UNIT = 0.1
+
+
+class Targets(NamedTuple):
+    """labels (B,D) with K for background, coarse_labels (B,512); radii (B,D,n) and keypoints (B,D,n,3) of each point's
+    own part in region radii; sides (B,D,n_voted) 0 or 1; extents_m (B,K,3); diagonals (B,K) in region radii."""
+
+    labels: Tensor
+    coarse_labels: Tensor
+    radii: Tensor
+    keypoints: Tensor
+    sides: Tensor
+    extents_m: Tensor
+    diagonals: Tensor
+
+
+def part_weights(labels: Tensor, num_parts: int) -> Tensor:
+    """(B,D) weights that make a weighted sum the mean over parts of the mean over a part's points (Eq. 21).
+
+    Parts with fewer than MIN_PART_POINTS points say little about themselves and are left out.
+    """
+    members = functional.one_hot(labels, num_parts + 1)[..., :num_parts].to(torch.float32)
+    counts = members.sum(dim=1, keepdim=True)
+    members = members * (counts >= MIN_PART_POINTS)
+    weights = (members / counts.clamp_min(1.0)).sum(dim=-1)
+    return weights / (counts >= MIN_PART_POINTS).sum().clamp_min(1)
+
+
+def page_loss(outputs: NetworkOutputs, targets: Targets) -> dict[str, Tensor]:
+    """Every term and their weighted sum, "total". Lengths count in tenths of the part's diagonal."""
+    num_parts = targets.extents_m.shape[1]
+    weights = part_weights(targets.labels, num_parts)
+    own_part = targets.labels.clamp_max(num_parts - 1)
+    unit = RADIUS_UNIT * torch.take_along_dim(targets.diagonals, own_part, dim=1).unsqueeze(-1)
+    radius = ((outputs.radii - targets.radii).abs() / unit).mean(dim=-1)
+    keypoint = ((outputs.keypoints - targets.keypoints).abs() / unit.unsqueeze(-1)).mean(dim=(-2, -1))
+    side = functional.binary_cross_entropy_with_logits(
+        outputs.side_logits, targets.sides, reduction="none"
+    ).mean(-1)
+    present = torch.stack(
+        [(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1
+    )
+    extent = (outputs.log_extents - targets.extents_m.log()).abs().mean(-1)
+    terms = {
+        "segmentation": functional.cross_entropy(outputs.part_logits.flatten(0, 1), targets.labels.flatten()),
+        "coarse": functional.cross_entropy(
+            outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()
+        ),
+        "radius": (radius * weights).sum(),
+        "keypoint": (keypoint * weights).sum(),
+        "side": (side * weights).sum(),
+        "extent": (extent * present).sum() / present.sum().clamp_min(1),
+    }
+    terms["total"] = (
+        SEGMENTATION_WEIGHT * terms["segmentation"]
+        + RADIUS_WEIGHT * terms["radius"]
+        + COARSE_WEIGHT * terms["coarse"]
+        + KEYPOINT_WEIGHT * terms["keypoint"]
+        + SIDE_WEIGHT * terms["side"]
+        + EXTENT_WEIGHT * terms["extent"]
+    )
+    return terms

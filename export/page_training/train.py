@@ -1,0 +1,228 @@
+"""Training on CPU: resumable to the step, with an averaged copy of the weights that is what gets exported."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import ctypes.util
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from page_runtime.category import Category
+from page_training.batches import Augmentation, Batch, make_batch
+from page_training.cache import open_shards
+from page_training.losses import page_loss
+from page_training.network import PageNetwork
+
+M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingConfig:
+    """Everything a run depends on besides the cached frames. samples: frames seen in all, repeats included."""
+
+    category: str
+    samples: int = 100_000
+    batch_size: int = 12
+    dense_points: int = 512
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-4
+    warmup_share: float = 0.02
+    gradient_clip: float = 5.0
+    average_decay: float = 0.999
+    seed: int = 1
+    threads: int = 1
+    validate_every: int = 500
+    save_every: int = 100
+    augmentation: Augmentation = field(default_factory=Augmentation)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a training step tells its watcher. losses: mean since the last report; validation: None between rounds."""
+
+    step: int
+    steps: int
+    samples_per_s: float
+    losses: dict[str, float]
+    validation: dict[str, float] | None
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep freed blocks instead of returning them to the kernel after every tensor.
+
+    Without this a step spends a third of its time in page faults (16 against 24 frames/s on one core). A batch of 12
+    keeps the largest tensor under glibc's 32 MiB limit for blocks it will keep. Elsewhere than on glibc, nothing.
+    """
+    name = ctypes.util.find_library("c")
+    if sys.platform != "linux" or name is None:
+        return
+    libc = ctypes.CDLL(name)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(M_MMAP_THRESHOLD, 32 << 20)
+        libc.mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
+        libc.mallopt(M_TOP_PAD, 256 << 20)
+
+
+def network_for(category: Category) -> PageNetwork:
+    """An untrained network of the category's shape."""
+    return PageNetwork(len(category.parts), category.num_keypoints, category.num_voted)
+
+
+def _learning_rate(step: int, steps: int, config: TrainingConfig) -> float:
+    warmup = max(1, round(config.warmup_share * steps))
+    if step < warmup:
+        return config.learning_rate * (step + 1) / warmup
+    return config.learning_rate * max(
+        0.01, 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup)))
+    )
+
+
+def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> NDArray[Any]:
+    """`count` records at random from all shards."""
+    shard = rng.integers(len(shards), size=count)
+    return np.stack([shards[s][rng.integers(len(shards[s]))] for s in shard])
+
+
+@torch.no_grad()
+def validation_losses(
+    network: PageNetwork, shards: list[NDArray[Any]], category: Category, limit: int = 256
+) -> dict[str, float]:
+    """Mean losses on the first `limit` validation frames, not augmented."""
+    network.eval()
+    generator = torch.Generator().manual_seed(0)
+    sums: dict[str, float] = {}
+    records = np.concatenate(shards)[:limit]
+    for start in range(0, len(records), 16):
+        chunk = records[start : start + 16]
+        batch = make_batch(chunk, category, dense_points=1024, generator=generator, augmentation=None)
+        for name, value in page_loss(network(batch.inputs, batch.dense), batch.targets).items():
+            sums[name] = sums.get(name, 0.0) + float(value) * len(chunk)
+    network.train()
+    return {name: value / len(records) for name, value in sums.items()}
+
+
+def _batches(
+    config: TrainingConfig, category: Category, cache: Path, first_step: int, steps: int
+) -> Iterator[tuple[int, Batch]]:
+    """Batch number `step` depends on nothing but the seed, the step and the cached frames, so a resumed run repeats it."""
+    shards = open_shards(cache, category.name, "train")
+    for step in range(first_step, steps):
+        if step % 200 == 0:
+            shards = open_shards(cache, category.name, "train")
+        if not shards:
+            raise FileNotFoundError(
+                f"no training shards of {category.name!r} in {cache}; run page-train scenes first"
+            )
+        records = _draw(shards, np.random.default_rng([config.seed, step]), config.batch_size)
+        generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step)
+        yield (
+            step,
+            make_batch(
+                records,
+                category,
+                dense_points=config.dense_points,
+                generator=generator,
+                augmentation=config.augmentation,
+            ),
+        )
+
+
+def save_checkpoint(path: Path, **state: Any) -> None:
+    """Write a checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(state, path.with_suffix(".partial"))
+    path.with_suffix(".partial").rename(path)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """A checkpoint written by `train`; weights only, so a foreign file cannot run code."""
+    return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def train(
+    config: TrainingConfig, category: Category, cache: Path, run: Path, on_report: Callable[[Report], None]
+) -> Path:
+    """Train, or go on with the run in folder `run`; returns its checkpoint.
+
+    The folder holds config.json, checkpoint.pt (network, average, optimizer, step) and history.jsonl. Interrupt it at
+    any time; at most `save_every` steps are repeated.
+    """
+    keep_freed_memory()
+    torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    network = network_for(category)
+    network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    average = copy.deepcopy(network)
+    optimizer = torch.optim.AdamW(
+        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+    )
+    steps = math.ceil(config.samples / config.batch_size)
+    first_step = 0
+    checkpoint = run / "checkpoint.pt"
+    run.mkdir(parents=True, exist_ok=True)
+    (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
+    if checkpoint.exists():
+        state = load_checkpoint(checkpoint)
+        network.load_state_dict(state["network"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        first_step = state["step"]
+    validation = open_shards(cache, category.name, "validation")
+    sums: dict[str, float] = {}
+    counted, since = 0, time.perf_counter()
+    for step, batch in _batches(config, category, cache, first_step, steps):
+        for group in optimizer.param_groups:
+            group["lr"] = _learning_rate(step, steps, config)
+        terms = page_loss(network(batch.inputs, batch.dense), batch.targets)
+        optimizer.zero_grad(set_to_none=True)
+        terms["total"].backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
+        optimizer.step()
+        _update_average(average, network, min(config.average_decay, (step + 1) / (step + 10)))
+        for name, value in terms.items():
+            sums[name] = sums.get(name, 0.0) + float(value.detach())
+        counted += 1
+        done = step + 1
+        if done % config.save_every == 0 or done == steps:
+            due = validation and (done % config.validate_every == 0 or done == steps)
+            report = Report(
+                step=done,
+                steps=steps,
+                samples_per_s=counted * config.batch_size / (time.perf_counter() - since),
+                losses={name: value / counted for name, value in sums.items()},
+                validation=validation_losses(average, validation, category) if due else None,
+            )
+            with (run / "history.jsonl").open("a") as history:
+                history.write(json.dumps(asdict(report)) + "\n")
+            save_checkpoint(
+                checkpoint,
+                network=network.state_dict(),
+                average=average.state_dict(),
+                optimizer=optimizer.state_dict(),
+                step=done,
+                category=category.name,
+            )
+            on_report(report)
+            sums, counted, since = {}, 0, time.perf_counter()
+    return checkpoint
+
+
+@torch.no_grad()
+def _update_average(average: PageNetwork, network: PageNetwork, decay: float) -> None:
+    """Move the averaged weights towards the network's; batch-norm counters are copied."""
+    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.dtype.is_floating_point:
+            mean.lerp_(value, 1.0 - decay)
+        else:
+            mean.copy_(value)
