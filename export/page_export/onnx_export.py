@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import copy
-import io
 import logging
 from pathlib import Path
 from typing import Any
 
 import onnx
 import torch
-from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
-
 from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
@@ -26,6 +22,8 @@ from page_training.network import (
     PageNetwork,
     SetAbstraction,
 )
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 OPSET = 18
 VOXEL_M = 0.005
@@ -54,9 +52,10 @@ def folded(network: PageNetwork) -> PageNetwork:
             module.linear = fuse_linear_bn_eval(module.linear, module.norm)
             module.norm = nn.Identity()
         elif isinstance(module, Convolution):
-            assert isinstance(module[0], nn.Conv2d) and isinstance(module[1], nn.BatchNorm2d)
-            module[0] = fuse_conv_bn_eval(module[0], module[1])
-            module[1] = nn.Identity()
+            convolution, norm = module[0], module[1]
+            assert isinstance(convolution, nn.Conv2d)
+            assert isinstance(norm, nn.BatchNorm2d)
+            module[0], module[1] = fuse_conv_bn_eval(convolution, norm), nn.Identity()
         elif isinstance(module, SetAbstraction) and isinstance(module.norm, nn.BatchNorm1d):
             # The norm comes after the maximum over neighbours, which commutes with it where its slope is positive.
             _fold_after_maximum(module)
@@ -66,7 +65,8 @@ def folded(network: PageNetwork) -> PageNetwork:
 
 
 def _slope_and_offset(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
-    assert norm.running_mean is not None and norm.running_var is not None
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
     slope = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     return slope.detach(), (norm.bias - norm.running_mean * slope).detach()
 
@@ -76,8 +76,8 @@ class Affine(nn.Module):
 
     def __init__(self, slope: Tensor, offset: Tensor) -> None:
         super().__init__()
-        self.register_buffer("slope", slope)
-        self.register_buffer("offset", offset)
+        self.slope = nn.Parameter(slope, requires_grad=False)
+        self.offset = nn.Parameter(offset, requires_grad=False)
 
     def forward(self, x: Tensor) -> Tensor:
         return x * self.slope + self.offset
@@ -117,9 +117,7 @@ def example_inputs() -> tuple[Tensor, ...]:
     return image, points, pixels, *groups, *ups
 
 
-def export_bundle(
-    network: PageNetwork, category: Category, path: Path, provenance: dict[str, Any]
-) -> BundleMetadata:
+def export_bundle(network: PageNetwork, category: Category, path: Path, provenance: dict[str, Any]) -> BundleMetadata:
     """Write the bundle whole or not at all; returns the metadata inside it."""
     metadata = BundleMetadata(
         category=category,
@@ -132,7 +130,7 @@ def export_bundle(
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with torch.no_grad():
         program = torch.onnx.export(
-            RuntimeSignature(folded(network)),
+            RuntimeSignature(folded(network)).eval(),
             example_inputs(),
             input_names=list(INPUT_NAMES),
             output_names=list(OUTPUT_NAMES),
@@ -141,9 +139,7 @@ def export_bundle(
             verbose=False,
         )
     assert program is not None
-    buffer = io.BytesIO()
-    program.save(buffer)
-    model = onnx.load_from_string(buffer.getvalue())
+    model = program.model_proto
     foreign = {node.domain for node in model.graph.node} - {""}
     if foreign:
         raise ValueError(f"export: expected standard operators only, got domains {sorted(foreign)}")

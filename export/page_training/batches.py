@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from page_runtime.category import Category
 from torch import Tensor
 
-from page_runtime.category import Category
 from page_training.losses import Targets
 from page_training.network import NetworkInputs
 
@@ -132,9 +132,7 @@ def make_batch(
     unit = category.region_radius_m
     tables = [torch.from_numpy(records[name].astype(np.int64)) for name in NEIGHBOUR_TABLES]
     return Batch(
-        inputs=NetworkInputs(
-            image.contiguous(memory_format=torch.channels_last), points / unit, pixels, *tables
-        ),
+        inputs=NetworkInputs(image.contiguous(memory_format=torch.channels_last), points / unit, pixels, *tables),
         targets=Targets(
             labels=dense_labels,
             coarse_labels=labels[:, : tables[0].shape[1]],

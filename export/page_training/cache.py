@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, find_neighbours
 from page_runtime.sampling import RegionSample, sample_region
+
 from page_training.scenes import SceneView, sample_scene, training_view
 
 IMAGE_SIZE = 224
@@ -70,12 +70,12 @@ def fill_record(record: Any, view: SceneView, sample: RegionSample, num_parts: i
         record["visible_share"][k] = truth.visible_share
 
 
-def make_shard(category: Category, split: str, shard: int, path: Path) -> None:
-    """Make one shard and write it whole or not at all."""
+def make_shard(category: Category, split: str, shard: int, path: Path, size: int = SHARD_SIZE) -> None:
+    """Make one shard of `size` records and write it whole or not at all."""
     rng = shard_generator(category.name, split, shard)
-    records = np.zeros(SHARD_SIZE, record_type(len(category.parts)))
+    records = np.zeros(size, record_type(len(category.parts)))
     filled = 0
-    while filled < SHARD_SIZE:
+    while filled < size:
         view = training_view(sample_scene(category.name, rng), rng, IMAGE_SIZE)
         sample = sample_region(
             view.frame,

@@ -44,16 +44,12 @@ def _parser() -> argparse.ArgumentParser:
         return sub
 
     scenes = command("scenes", _scenes, "make the missing training frames of a category")
-    scenes.add_argument(
-        "--frames", type=int, default=12_000, help="training frames in all (default: %(default)s)"
-    )
+    scenes.add_argument("--frames", type=int, default=12_000, help="training frames in all (default: %(default)s)")
     scenes.add_argument("--validation-frames", type=int, default=SHARD_SIZE)
     scenes.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="about 0.25 MB a frame")
     defaults = TrainingConfig(category="")
     pose = command("pose", _pose, "train the pose network, or go on with it")
-    pose.add_argument(
-        "--samples", type=int, default=defaults.samples, help="frames seen (default: %(default)s)"
-    )
+    pose.add_argument("--samples", type=int, default=defaults.samples, help="frames seen (default: %(default)s)")
     pose.add_argument("--batch-size", type=int, default=defaults.batch_size)
     pose.add_argument("--learning-rate", type=float, default=defaults.learning_rate)
     pose.add_argument("--threads", type=int, default=defaults.threads)
@@ -70,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--frames", type=int, default=200)
     record.add_argument("--split", choices=SPLITS[1:], default="test")
     record.add_argument("--seed", type=int, default=0)
+    record.add_argument("--jpeg", action="store_true", help="colour as .jpg, a tenth of the size")
     return parser
 
 
@@ -134,9 +131,7 @@ def _preview(options: argparse.Namespace) -> None:
 
     from page_training.scenes.preview import contact_sheet
 
-    sheet = contact_sheet(
-        options.category, np.random.default_rng(options.seed), options.rows, options.columns
-    )
+    sheet = contact_sheet(options.category, np.random.default_rng(options.seed), options.rows, options.columns)
     if not cv2.imwrite(str(options.out), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR)):
         raise OSError(f"cannot write {options.out}")
     print(options.out)
@@ -153,6 +148,7 @@ def _record(options: argparse.Namespace) -> None:
             split=options.split,
             frames=options.frames,
             seed=options.seed,
+            color_suffix=".jpg" if options.jpeg else ".png",
             on_frame=lambda: progress.advance(task),
         )
     print(options.out)

@@ -53,18 +53,12 @@ def page_loss(outputs: NetworkOutputs, targets: Targets) -> dict[str, Tensor]:
     unit = RADIUS_UNIT * torch.take_along_dim(targets.diagonals, own_part, dim=1).unsqueeze(-1)
     radius = ((outputs.radii - targets.radii).abs() / unit).mean(dim=-1)
     keypoint = ((outputs.keypoints - targets.keypoints).abs() / unit.unsqueeze(-1)).mean(dim=(-2, -1))
-    side = functional.binary_cross_entropy_with_logits(
-        outputs.side_logits, targets.sides, reduction="none"
-    ).mean(-1)
-    present = torch.stack(
-        [(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1
-    )
+    side = functional.binary_cross_entropy_with_logits(outputs.side_logits, targets.sides, reduction="none").mean(-1)
+    present = torch.stack([(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1)
     extent = (outputs.log_extents - targets.extents_m.log()).abs().mean(-1)
     terms = {
         "segmentation": functional.cross_entropy(outputs.part_logits.flatten(0, 1), targets.labels.flatten()),
-        "coarse": functional.cross_entropy(
-            outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()
-        ),
+        "coarse": functional.cross_entropy(outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()),
         "radius": (radius * weights).sum(),
         "keypoint": (keypoint * weights).sum(),
         "side": (side * weights).sum(),

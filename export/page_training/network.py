@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
+from page_runtime.neighbours import LEVELS
 from torch import Tensor, nn
 from torch.nn import functional
-
-from page_runtime.neighbours import LEVELS
 
 
 class NetworkInputs(NamedTuple):
@@ -75,9 +74,7 @@ def gather_rows(features: Tensor, index: Tensor) -> Tensor:
     """features (B,P,C) at index (B,...) -> (B,...,C), as one flat gather (cheaper in ONNX than GatherElements)."""
     batch, count, channels = features.shape
     offset = torch.arange(batch, device=index.device).view(-1, *[1] * (index.dim() - 1)) * count
-    return features.reshape(batch * count, channels)[(index + offset).reshape(-1)].view(
-        *index.shape, channels
-    )
+    return features.reshape(batch * count, channels)[(index + offset).reshape(-1)].view(*index.shape, channels)
 
 
 class GroupMaximum(torch.autograd.Function):
@@ -107,9 +104,7 @@ def sample_bilinear(feature_map: Tensor, pixels: Tensor, image_size: int) -> Ten
     Pixel centres are integers, so pixel c of S is at (2c + 1) / S - 1 in the map's [-1, 1] square at every stride.
     """
     grid = ((2.0 * pixels + 1.0) / image_size - 1.0).unsqueeze(1)
-    sampled = functional.grid_sample(
-        feature_map, grid, mode="bilinear", padding_mode="border", align_corners=False
-    )
+    sampled = functional.grid_sample(feature_map, grid, mode="bilinear", padding_mode="border", align_corners=False)
     return sampled.squeeze(2).transpose(1, 2)
 
 
@@ -133,12 +128,8 @@ class ImageBranch(nn.Module):
         x8 = self.stage8(x4)
         x16 = self.stage16(x8)
         x32 = self.stage32(x16)
-        y16 = functional.relu(
-            x16 + functional.interpolate(self.lateral32(x32), scale_factor=2.0, mode="nearest")
-        )
-        y8 = functional.relu(
-            x8 + functional.interpolate(self.lateral16(y16), scale_factor=2.0, mode="nearest")
-        )
+        y16 = functional.relu(x16 + functional.interpolate(self.lateral32(x32), scale_factor=2.0, mode="nearest"))
+        y8 = functional.relu(x8 + functional.interpolate(self.lateral16(y16), scale_factor=2.0, mode="nearest"))
         y4 = functional.relu(x4 + functional.interpolate(self.lateral8(y8), scale_factor=2.0, mode="nearest"))
         return y4, y8, y16
 
@@ -155,7 +146,7 @@ class SetAbstraction(nn.Module):
         self.feature = nn.Linear(inputs, hidden) if inputs else None
         self.position = nn.Linear(3, hidden)
         self.edge = nn.Linear(hidden, outputs)
-        self.norm = nn.BatchNorm1d(outputs)
+        self.norm: nn.Module = nn.BatchNorm1d(outputs)
 
     def forward(self, points: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
         position = self.position(points)
@@ -185,7 +176,7 @@ class FeaturePropagation(nn.Module):
         super().__init__()
         self.from_coarse = nn.Linear(coarse, outputs, bias=False)
         self.from_fine = nn.Linear(fine, outputs)
-        self.norm = nn.BatchNorm1d(outputs)
+        self.norm: nn.Module = nn.BatchNorm1d(outputs)
 
     def forward(
         self, fine_points: Tensor, coarse_points: Tensor, coarse: Tensor, fine: Tensor, index: Tensor

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-
 from page_runtime.category import Category
+
 from page_training.batches import Augmentation, Batch, make_batch
 from page_training.cache import open_shards
 from page_training.losses import page_loss
@@ -83,9 +83,7 @@ def _learning_rate(step: int, steps: int, config: TrainingConfig) -> float:
     warmup = max(1, round(config.warmup_share * steps))
     if step < warmup:
         return config.learning_rate * (step + 1) / warmup
-    return config.learning_rate * max(
-        0.01, 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup)))
-    )
+    return config.learning_rate * max(0.01, 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup))))
 
 
 def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> NDArray[Any]:
@@ -115,15 +113,13 @@ def validation_losses(
 def _batches(
     config: TrainingConfig, category: Category, cache: Path, first_step: int, steps: int
 ) -> Iterator[tuple[int, Batch]]:
-    """Batch number `step` depends on nothing but the seed, the step and the cached frames, so a resumed run repeats it."""
+    """Batch number `step` depends only on the seed, the step and the cached frames, so a resumed run repeats it."""
     shards = open_shards(cache, category.name, "train")
     for step in range(first_step, steps):
         if step % 200 == 0:
             shards = open_shards(cache, category.name, "train")
         if not shards:
-            raise FileNotFoundError(
-                f"no training shards of {category.name!r} in {cache}; run page-train scenes first"
-            )
+            raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
         records = _draw(shards, np.random.default_rng([config.seed, step]), config.batch_size)
         generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step)
         yield (
@@ -164,9 +160,7 @@ def train(
     network = network_for(category)
     network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(
-        network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-    )
+    optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
     steps = math.ceil(config.samples / config.batch_size)
     first_step = 0
     checkpoint = run / "checkpoint.pt"
@@ -184,6 +178,7 @@ def train(
     for step, batch in _batches(config, category, cache, first_step, steps):
         for group in optimizer.param_groups:
             group["lr"] = _learning_rate(step, steps, config)
+        torch.manual_seed(hash((config.seed, step)))  # the gate's noise, too, depends on the step alone
         terms = page_loss(network(batch.inputs, batch.dense), batch.targets)
         optimizer.zero_grad(set_to_none=True)
         terms["total"].backward()
@@ -211,6 +206,7 @@ def train(
                 average=average.state_dict(),
                 optimizer=optimizer.state_dict(),
                 step=done,
+                samples=done * config.batch_size,
                 category=category.name,
             )
             on_report(report)

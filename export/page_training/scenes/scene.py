@@ -1,0 +1,237 @@
+"""Scenes: an object in its surroundings before a camera.
+
+World frame of a scene: metres, +z up, support at z = 0 (see stage.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from page_runtime.camera import Camera
+from page_runtime.geometry import Array, rotation_about, transform_from
+
+from page_training.scenes import box, laptop
+from page_training.scenes.hinged import HingedObject
+from page_training.scenes.meshes import Mesh, moved
+from page_training.scenes.render import (
+    Lighting,
+    World,
+    labels_seen,
+    silhouette,
+    silhouette_caster,
+    world_from,
+)
+from page_training.scenes.stage import (
+    Footprint,
+    beside,
+    clutter,
+    occluders,
+    sample_lighting,
+    sample_viewpoint,
+    surroundings,
+    upright,
+)
+from page_training.scenes.textures import Generator
+
+CAMERAS = (  # width, height, horizontal focal lengths (px) of common RGB-D cameras
+    (640, 480, 380.0, 620.0),
+    (848, 480, 420.0, 620.0),
+    (1280, 720, 630.0, 940.0),
+    (1280, 720, 880.0, 930.0),
+    (1280, 800, 560.0, 1000.0),
+)
+PROBE_SIZE = 72
+MIN_VISIBLE_SHARE = 0.1
+MIN_BEST_SHARE = 0.3
+HARD_VIEW_SHARE = 0.25
+CAMERA_TRIES = 5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneCategory:
+    """What a category's module provides. distance_m: nearest and farthest camera."""
+
+    part_names: tuple[str, ...]
+    sample_object: Callable[[Generator], HingedObject]
+    sample_state: Callable[[Generator], float]
+    distance_m: tuple[float, float]
+
+
+CATEGORIES: dict[str, SceneCategory] = {
+    "box": SceneCategory(box.PART_NAMES, box.sample_object, box.sample_state, box.DISTANCE_M),
+    "laptop": SceneCategory(laptop.PART_NAMES, laptop.sample_object, laptop.sample_state, laptop.DISTANCE_M),
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlacedPart:
+    """T_world_part: (4,4). extents_m: (3,). vertices_world: (V,3)."""
+
+    T_world_part: Array
+    extents_m: Array
+    vertices_world: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Coverage:
+    """low, high: (2,) px, box of what is visible of the object. visible_px, silhouette_px: per part, its
+    pixels and those of its silhouette if nothing hid it; measured on a coarse grid.
+    """
+
+    low: Array
+    high: Array
+    visible_px: tuple[float, ...]
+    silhouette_px: tuple[float, ...]
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Per part, the visible share of its silhouette."""
+        return tuple(v / max(s, 1.0) for v, s in zip(self.visible_px, self.silhouette_px, strict=True))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scene:
+    """One object of `category` in its surroundings. joint_states: rad. camera: the whole frame's. coverage:
+    in its pixels.
+    """
+
+    category: str
+    parts: tuple[PlacedPart, ...]
+    joint_states: tuple[float, ...]
+    world: World
+    lighting: Lighting
+    camera: Camera
+    coverage: Coverage
+
+
+def _require_category(name: str) -> SceneCategory:
+    if name not in CATEGORIES:
+        raise ValueError(f"category: expected one of {sorted(CATEGORIES)}, got {name!r}")
+    return CATEGORIES[name]
+
+
+def _posed(rng: Generator, model: HingedObject, state: float) -> tuple[list[Mesh], list[int], list[Array], float]:
+    """Meshes with labels, part poses in the world and the yaw of an object resting (nearly flat) at the
+    origin."""
+    yaw = float(rng.uniform(0, 2 * np.pi))
+    tilt_deg = float(rng.choice([0.0, abs(rng.normal(0, 2)), rng.uniform(3, 20)], p=[0.6, 0.3, 0.1]))
+    direction = rng.uniform(0, 2 * np.pi)
+    tilt = rotation_about(np.array([np.cos(direction), np.sin(direction), 0.0]), np.radians(tilt_deg))
+    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), yaw) @ tilt
+    T_base_lid = model.T_base_lid(state)
+    corners = model.parts[0].mesh.vertices @ rotation.T
+    T_world_base = transform_from(rotation, np.array([0.0, 0.0, -float(corners[:, 2].min()) + 1e-4]))
+    poses = [T_world_base, T_world_base @ T_base_lid]
+    meshes = [moved(part.mesh, pose) for part, pose in zip(model.parts, poses, strict=True)]
+    labels = [1, 2]
+    if model.loose is not None:
+        meshes.append(moved(model.loose, T_world_base))
+        labels.append(0)
+    # A lid that would go through the table lifts the whole object (it then leans on its lid).
+    lift = max(0.0, 1e-4 - float(min(mesh.vertices[:, 2].min() for mesh in meshes)))
+    rise = np.array([0, 0, lift])
+    for pose in poses:
+        pose[:3, 3] += rise
+    lifted = [moved(mesh, transform_from(np.eye(3), rise)) for mesh in meshes] if lift else meshes
+    return lifted, labels, poses, yaw
+
+
+def _footprint(meshes: list[Mesh], yaw: float) -> Footprint:
+    c, s = np.cos(yaw), np.sin(yaw)
+    points = np.concatenate([mesh.vertices[:, :2] for mesh in meshes]) @ np.array([[c, -s], [s, c]])
+    return Footprint(yaw, points.min(axis=0).astype(float), points.max(axis=0).astype(float))
+
+
+def _sample_camera(rng: Generator, T_camera_world: Array) -> Camera:
+    width, height, low, high = CAMERAS[int(rng.integers(len(CAMERAS)))]
+    focal = float(rng.uniform(low, high))
+    aspect = 1 + float(rng.normal(0, 0.001))
+    center = np.array([width, height]) / 2 + rng.normal(0, 0.008, 2) * width
+    K = np.array([[focal, 0, center[0]], [0, focal * aspect, center[1]], [0, 0, 1.0]])
+    return Camera(K=K, width=width, height=height, T_camera_world=T_camera_world)
+
+
+def sample_scene(category: str, rng: Generator) -> Scene:
+    """A random object of `category` in a random place before a random camera; everything follows from `rng`.
+
+    Raises ValueError for a category that is not in CATEGORIES.
+    """
+    kind = _require_category(category)
+    model, state = kind.sample_object(rng), kind.sample_state(rng)
+    meshes, labels, poses, yaw = _posed(rng, model, state)
+    footprint = _footprint(meshes, yaw)
+    reach = float(np.abs(np.concatenate([footprint.low, footprint.high])).max())
+    points = np.concatenate([mesh.vertices for mesh in meshes])
+    target = ((points.min(axis=0) + points.max(axis=0)) / 2).astype(float)
+    others = surroundings(rng, reach) + clutter(rng, footprint)
+    if rng.random() < 0.15:  # another object of the category, which is not the one asked for
+        others += _neighbour(rng, kind, footprint)
+    everything, everywhere = meshes + others, labels + [0] * len(others)
+    parts = tuple(
+        PlacedPart(pose, part.extents_m, mesh.vertices)
+        for pose, part, mesh in zip(poses, model.parts, meshes[:2], strict=True)
+    )
+    alone = tuple(silhouette_caster(mesh) for mesh in meshes[:2])
+    lighting = sample_lighting(rng)
+    plain_world = world_from(everything, everywhere)
+
+    def look(*, occluded: bool) -> Scene:
+        viewpoint = sample_viewpoint(rng, target, kind.distance_m)
+        hidden = occluders(rng, footprint, viewpoint, target) if occluded else []
+        world = world_from(everything + hidden, everywhere + [0] * len(hidden)) if hidden else plain_world
+        camera = _sample_camera(rng, viewpoint.T_camera_world)
+        coverage = _coverage(world, parts, alone, camera)
+        return Scene(category, parts, (state,), world, lighting, camera, coverage)
+
+    for _ in range(CAMERA_TRIES - 1):
+        scene = look(occluded=True)
+        shares = scene.coverage.shares
+        # Hard views (from behind the lid) stay, one part may hide; an object hardly seen is of no use.
+        hard = min(shares) < MIN_VISIBLE_SHARE
+        if max(shares) > MIN_BEST_SHARE and (not hard or rng.random() < HARD_VIEW_SHARE):
+            return scene
+    return look(occluded=False)
+
+
+def _neighbour(rng: Generator, kind: SceneCategory, footprint: Footprint) -> list[Mesh]:
+    meshes, _, _, yaw = _posed(rng, kind.sample_object(rng), kind.sample_state(rng))
+    own = _footprint(meshes, yaw)
+    radius = float(np.abs(np.concatenate([own.low, own.high])).max())
+    x, y = beside(rng, footprint, radius, float(rng.exponential(0.05)))
+    return [moved(mesh, upright(0.0, x, y, 0.0)) for mesh in meshes]
+
+
+def _window(parts: tuple[PlacedPart, ...], camera: Camera) -> tuple[float, float, float]:
+    """(x, y, side) px of the square of the camera's image that holds the projected object."""
+    pixels = np.concatenate([camera.project(part.vertices_world.astype(float)) for part in parts])
+    pixels = pixels[np.isfinite(pixels).all(axis=1)]
+    low, high = pixels.min(axis=0) - 2, pixels.max(axis=0) + 2
+    side = float((high - low).max())
+    middle = (low + high) / 2
+    return float(middle[0] - side / 2), float(middle[1] - side / 2), side
+
+
+def square_camera(camera: Camera, x: float, y: float, side: float, size: int) -> Camera:
+    """The camera of the square at (x,y) of `side` px, rounded as a crop of a frame is, resized to `size`."""
+    whole = max(2, round(side))
+    return camera.cropped(round(x), round(y), whole, whole).resized(size, size)
+
+
+def _coverage(world: World, parts: tuple[PlacedPart, ...], alone: tuple[Any, ...], camera: Camera) -> Coverage:
+    """How much of the object `camera` sees; alone: a caster of each part."""
+    x, y, side = _window(parts, camera)
+    probe = square_camera(camera, x, y, side, PROBE_SIZE)
+    seen = labels_seen(world, probe)
+    step = max(2, round(side)) / PROBE_SIZE
+    rows, columns = np.nonzero(seen) if seen.any() else np.indices(seen.shape).reshape(2, -1)
+    corner = np.array([round(x), round(y)], float)
+    return Coverage(
+        low=corner + np.array([columns.min(), rows.min()]) * step,
+        high=corner + np.array([columns.max() + 1, rows.max() + 1]) * step,
+        visible_px=tuple(float(np.count_nonzero(seen == k + 1)) * step**2 for k in range(len(parts))),
+        silhouette_px=tuple(float(np.count_nonzero(silhouette(caster, probe))) * step**2 for caster in alone),
+    )

@@ -1,0 +1,128 @@
+"""A bundle is the checkpoint's network and says all the runtime needs; anything else is refused with the reason."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from page_export.onnx_export import OPSET, RuntimeSignature, example_inputs, export_bundle, folded
+from page_export.parity import compare_on
+from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
+from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
+from page_training.categories import CATEGORIES
+from page_training.network import PageNetwork
+from page_training.record import record_split
+from page_training.train import network_for
+
+BOX = CATEGORIES["box"]
+
+
+@pytest.fixture(scope="module")
+def network() -> PageNetwork:
+    """Untrained, but with batch norms that do something, negative slopes included."""
+    torch.manual_seed(0)
+    network = network_for(BOX).eval()
+    with torch.no_grad():
+        for module in network.modules():
+            if isinstance(module, torch.nn.BatchNorm1d | torch.nn.BatchNorm2d):
+                assert module.running_mean is not None
+                assert module.running_var is not None
+                module.running_mean.normal_(0, 0.2)
+                module.running_var.uniform_(0.5, 2.0)
+                module.weight.uniform_(-0.5, 2.0)
+                module.bias.normal_()
+    return network
+
+
+@pytest.fixture(scope="module")
+def bundle(network: PageNetwork, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bundle") / "box.onnx"
+    export_bundle(network, BOX, path, {"note": "untrained"})
+    return path
+
+
+def test_folding_batch_norms_changes_nothing(network: PageNetwork) -> None:
+    inputs = example_inputs()
+    with torch.no_grad():
+        for plain, fused in zip(
+            RuntimeSignature(network)(*inputs), RuntimeSignature(folded(network))(*inputs), strict=True
+        ):
+            torch.testing.assert_close(fused, plain, atol=1e-4, rtol=1e-4)
+
+
+def test_bundle_and_checkpoint_agree_on_outputs_and_poses(network: PageNetwork, bundle: Path, tmp_path: Path) -> None:
+    record_split("box", tmp_path / "recording", split="validation", frames=3)
+    parity = compare_on(Network(bundle, threads=1), network, tmp_path / "recording")
+    assert parity.samples == 3
+    assert max(parity.outputs.values()) < 1e-4
+    assert parity.rotation_deg < 0.02
+    assert parity.translation_mm < 0.1
+    assert parity.disagreements == 0
+
+
+def test_bundle_is_one_small_file_of_standard_operators(bundle: Path) -> None:
+    model = onnx.load(str(bundle), load_external_data=False)
+    assert {node.domain for node in model.graph.node} == {""}
+    assert [entry.version for entry in model.opset_import if entry.domain == ""] == [OPSET]
+    assert all(tensor.data_location == onnx.TensorProto.DEFAULT for tensor in model.graph.initializer)
+    assert not any(node.op_type == "BatchNormalization" for node in model.graph.node)
+    assert bundle.stat().st_size <= 8e6
+    assert tuple(value.name for value in model.graph.input) == INPUT_NAMES
+    assert tuple(value.name for value in model.graph.output) == OUTPUT_NAMES
+    assert str(Path.home()).encode() not in bundle.read_bytes()
+
+
+def test_metadata_survives_the_round_trip(bundle: Path) -> None:
+    metadata = Network(bundle, threads=1).metadata
+    assert BundleMetadata.from_json(metadata.to_json()).to_json() == metadata.to_json()
+    assert metadata.category.name == "box"
+    for ours, theirs in zip(metadata.category.parts, BOX.parts, strict=True):
+        np.testing.assert_array_equal(ours.keypoints_unit, theirs.keypoints_unit)
+        assert ours.frame == theirs.frame
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda d: d.update(version=99), "version 1, got 99"),
+        (lambda d: d.pop("voxel_m"), "missing .*voxel_m"),
+        (lambda d: d.update(surprise=1), "not understood .*surprise"),
+        (lambda d: d["parts"][0].pop("frame"), "part: missing .*frame"),
+        (lambda d: d["parts"][0].update(keypoints_unit=[[0, 0]]), "keypoints_unit"),
+        (lambda d: d["joints"][0].update(kind="elastic"), "elastic"),
+        (lambda d: d["joints"][0].update(child=7), "no part index"),
+        (lambda d: d.update(num_points="many"), "many"),
+    ],
+)
+def test_metadata_that_is_not_understood_whole_is_refused(bundle: Path, change, word: str) -> None:
+    document = json.loads(Network(bundle, threads=1).metadata.to_json())
+    change(document)
+    with pytest.raises(BundleError, match=word):
+        BundleMetadata.from_json(json.dumps(document))
+
+
+def rewritten(bundle: Path, path: Path, change) -> Path:
+    model = onnx.load(str(bundle))
+    change(model)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda b, p: p.write_bytes(b.read_bytes()[: b.stat().st_size // 2]), "cannot load"),
+        (lambda _, p: p.write_bytes(b"not a model at all" * 100), "cannot load"),
+        (lambda _, p: p.write_bytes(b""), "bytes, got 0"),
+        (lambda _, __: None, "no file"),
+        (lambda b, p: rewritten(b, p, lambda m: m.metadata_props.pop()), METADATA_KEY),
+        (lambda b, p: rewritten(b, p, lambda m: m.graph.output.pop()), "outputs"),
+    ],
+)
+def test_a_file_that_is_not_a_bundle_is_refused_with_the_reason(bundle: Path, tmp_path: Path, spoil, word: str) -> None:
+    path = tmp_path / "spoilt.onnx"
+    spoil(bundle, path)
+    with pytest.raises(BundleError, match=word):
+        Network(path)

@@ -1,0 +1,136 @@
+"""Laws of the procedural scenes: truth agrees with what is seen, and all of it follows from the generator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from page_runtime.geometry import apply, invert, rotation_about
+from page_training.scenes import CATEGORIES, SceneView, full_view, sample_scene, training_view
+from page_training.scenes.hinged import JOINT_AXIS
+
+VIEWS = 24
+
+
+@pytest.fixture(scope="module", params=sorted(CATEGORIES))
+def views(request: pytest.FixtureRequest) -> list[SceneView]:
+    rng = np.random.default_rng(7)
+    return [training_view(sample_scene(request.param, rng), rng) for _ in range(VIEWS)]
+
+
+def _pixels(mask: np.ndarray) -> np.ndarray:
+    rows, columns = np.nonzero(mask)
+    return np.stack([columns, rows], axis=-1).astype(float)
+
+
+@pytest.mark.parametrize("category", sorted(CATEGORIES))
+def test_the_generator_alone_decides_a_view(category: str) -> None:
+    one, other, another = (
+        training_view(sample_scene(category, rng), rng)
+        for rng in (np.random.default_rng(3), np.random.default_rng(3), np.random.default_rng(4))
+    )
+    np.testing.assert_array_equal(one.frame.color, other.frame.color)
+    np.testing.assert_array_equal(one.frame.depth_m, other.frame.depth_m)
+    np.testing.assert_array_equal(one.part_mask, other.part_mask)
+    np.testing.assert_array_equal(one.truths[1].T_camera_part, other.truths[1].T_camera_part)
+    assert not np.array_equal(one.frame.color, another.frame.color)
+
+
+def test_every_point_of_a_part_lies_in_its_box(views: list[SceneView]) -> None:
+    for view in views:
+        for k, truth in enumerate(view.truths):
+            mask = view.part_mask == k + 1
+            points_camera = view.frame.camera.backproject(_pixels(mask), view.noiseless_depth_m[mask])
+            points_part = apply(invert(truth.T_camera_part), points_camera)
+            assert (np.abs(points_part) <= truth.extents_m / 2 + 1e-3).all()
+
+
+def test_part_poses_obey_the_hinge(views: list[SceneView]) -> None:
+    for view in views:
+        base, lid = (truth.T_camera_part for truth in view.truths)
+        T_base_lid = invert(base) @ lid
+        (state,) = view.joint_states
+        expected = rotation_about(np.array(JOINT_AXIS), state)
+        np.testing.assert_allclose(T_base_lid[:3, :3], expected, atol=1e-9)
+        assert 0 <= state <= np.pi
+
+
+@pytest.mark.parametrize("category", sorted(CATEGORIES))
+def test_the_hinge_is_one_point_at_every_state(category: str) -> None:
+    model = CATEGORIES[category].sample_object(np.random.default_rng(5))
+    for state in np.linspace(0, np.pi, 7):
+        np.testing.assert_allclose(apply(model.T_base_lid(state), model.hinge_lid), model.hinge_base, atol=1e-12)
+    front_of_lid = np.array([0.0, -model.parts[1].extents_m[1] / 2, 0.0])
+    heights = [apply(model.T_base_lid(state), front_of_lid)[2] for state in (0.0, 0.5, 1.0)]
+    assert heights[0] < heights[1] < heights[2]
+    assert apply(model.T_base_lid(0.0), np.zeros(3))[2] > 0
+
+
+def test_normals_are_unit_and_face_the_camera(views: list[SceneView]) -> None:
+    for view in views:
+        seen = view.part_mask > 0
+        normals = view.normals_camera[seen]
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-4)
+        rays = view.frame.camera.rays(_pixels(seen))
+        assert (np.einsum("nc,nc->n", normals, rays) <= 1e-6).all()
+
+
+def test_normals_agree_with_the_noiseless_surface(views: list[SceneView]) -> None:
+    agreement = []
+    for view in views:
+        size = view.part_mask.shape[0]
+        grid = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).astype(float)
+        points = view.frame.camera.backproject(grid, view.noiseless_depth_m)
+        across, along = points[:-1, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, :-1]
+        cross = np.cross(along, across)
+        cross /= np.linalg.norm(cross, axis=-1, keepdims=True) + 1e-12
+        seen = view.part_mask[:-1, :-1] > 0
+        agreement.append(np.abs(np.einsum("hwc,hwc->hw", cross, view.normals_camera[:-1, :-1]))[seen])
+    assert np.mean(np.concatenate(agreement) > 0.99) > 0.75
+
+
+def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(views: list[SceneView]) -> None:
+    kept, errors = [], []
+    for view in views:
+        depth, truth = view.frame.depth_m, view.noiseless_depth_m
+        assert depth.dtype == np.float32
+        assert (depth >= 0).all()
+        np.testing.assert_allclose(depth * 1000, np.round(depth * 1000), atol=1e-3)
+        seen = view.part_mask > 0
+        kept.append(np.mean(depth[seen] > 0))
+        measured = seen & (depth > 0)
+        if measured.any():
+            errors.append(np.median(depth[measured] - truth[measured]))
+    assert np.median(kept) > 0.75
+    assert np.mean(np.array(kept) > 0.45) > 0.9
+    assert abs(np.median(errors)) < 0.003
+    assert np.percentile(np.abs(errors), 90) < 0.015
+
+
+def test_masks_regions_and_shares_agree(views: list[SceneView]) -> None:
+    for view in views:
+        assert set(np.unique(view.part_mask)) <= {0, 1, 2}
+        rows, columns = np.nonzero(view.part_mask)
+        x, y, width, height = view.region
+        assert (x, y) == (columns.min(), rows.min())
+        assert (x + width - 1, y + height - 1) == (columns.max(), rows.max())
+        for k, truth in enumerate(view.truths):
+            assert truth.visible_px == np.count_nonzero(view.part_mask == k + 1)
+            assert 0 <= truth.visible_share <= 1
+    best = [max(truth.visible_share for truth in view.truths) for view in views]
+    assert np.mean(np.array(best) > 0.3) > 0.9
+
+
+def test_a_full_view_shows_the_same_poses_as_a_crop() -> None:
+    rng = np.random.default_rng(11)
+    scene = sample_scene("box", rng)
+    crop, whole = training_view(scene, rng, 96), full_view(scene, rng, 320, 240)
+    assert crop.frame.color.shape == (96, 96, 3)
+    assert whole.frame.depth_m.shape == (240, 320)
+    for one, other in zip(crop.truths, whole.truths, strict=True):
+        np.testing.assert_allclose(one.T_camera_part, other.T_camera_part)
+        np.testing.assert_allclose(one.extents_m, other.extents_m)
+
+
+def test_an_unknown_category_names_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"'box', 'laptop'.*'teapot'"):
+        sample_scene("teapot", np.random.default_rng(0))
