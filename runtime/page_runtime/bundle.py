@@ -54,9 +54,7 @@ class BundleMetadata:
                     }
                     for part in category.parts
                 ],
-                "joints": [
-                    {f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints
-                ],
+                "joints": [{f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints],
                 "num_points": self.num_points,
                 "image_size": self.image_size,
                 "voxel_m": self.voxel_m,
@@ -75,9 +73,7 @@ class BundleMetadata:
             raise BundleError(f"bundle metadata: expected JSON, got {error}") from error
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
-            raise BundleError(
-                f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again with this release"
-            )
+            raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
         top = _closed(document, "bundle", _TOP_FIELDS)
         parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts"))
         joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints"))
@@ -110,14 +106,10 @@ _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits"}
 
 def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
     if not isinstance(entry, dict):
-        raise BundleError(
-            f"bundle metadata: expected each {what} to be an object, got {type(entry).__name__}"
-        )
+        raise BundleError(f"bundle metadata: expected each {what} to be an object, got {type(entry).__name__}")
     missing, extra = expected - entry.keys(), entry.keys() - expected
     if missing or extra:
-        raise BundleError(
-            f"bundle metadata, {what}: missing {sorted(missing)}, not understood {sorted(extra)}"
-        )
+        raise BundleError(f"bundle metadata, {what}: missing {sorted(missing)}, not understood {sorted(extra)}")
     return entry
 
 

@@ -30,19 +30,19 @@ class Camera:
         K = np.asarray(self.K, dtype=float)
         if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
             raise ValueError(
-                f"Camera.K: expected a finite 3x3 matrix with positive focal lengths, got {np.asarray(self.K).tolist()}; "
-                "a row of nine numbers may be stored column-major"
+                f"Camera.K: expected a finite 3x3 matrix with positive focal lengths, "
+                f"got {np.asarray(self.K).tolist()}; "
+                "nine numbers in a row may be column-major"
             )
         if not np.allclose([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1.0], 0.0, atol=1e-9):
             raise ValueError(
-                f"Camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}; it may be stored transposed"
+                f"Camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}; "
+                "it may be stored transposed"
             )
         if self.width <= 0 or self.height <= 0:
             raise ValueError(f"Camera: expected a positive size, got {self.width}x{self.height}")
         object.__setattr__(self, "K", K)
-        object.__setattr__(
-            self, "T_camera_world", require_rigid(self.T_camera_world, name="Camera.T_camera_world")
-        )
+        object.__setattr__(self, "T_camera_world", require_rigid(self.T_camera_world, name="Camera.T_camera_world"))
 
     @property
     def M(self) -> Array:

@@ -30,12 +30,7 @@ class Part:
     def __post_init__(self) -> None:
         keypoints = np.asarray(self.keypoints_unit, dtype=float)
         extents = np.asarray(self.extents_unit, dtype=float)
-        if (
-            keypoints.ndim != 2
-            or keypoints.shape[1] != 3
-            or len(keypoints) < 3
-            or not np.isfinite(keypoints).all()
-        ):
+        if keypoints.ndim != 2 or keypoints.shape[1] != 3 or len(keypoints) < 3 or not np.isfinite(keypoints).all():
             raise ValueError(
                 f"Part {self.name!r}.keypoints_unit: expected finite (n>=3, 3), got shape {keypoints.shape}"
             )
@@ -91,9 +86,7 @@ class Category:
             )
         for joint in self.joints:
             if not (0 <= joint.parent < len(self.parts) and 0 <= joint.child < len(self.parts)):
-                raise ValueError(
-                    f"Joint {joint.name!r}: parent {joint.parent} or child {joint.child} is not a part index"
-                )
+                raise ValueError(f"Joint {joint.name!r}: {joint.parent} or {joint.child} is no part index")
 
     @property
     def num_keypoints(self) -> int:

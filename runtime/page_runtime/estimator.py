@@ -7,13 +7,14 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Part
 from page_runtime.frame import RgbdFrame
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.registration import register_part
-from page_runtime.sampling import Region, sample_region
+from page_runtime.sampling import Region, RegionSample, sample_region
 from page_runtime.scoring import score_keypoints
 
 MIN_PART_POINTS = 24
@@ -27,43 +28,41 @@ def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedP
     A part without a pose comes with the reason. Raises ValueError for a region that lies outside the image.
     """
     metadata = network.metadata
-    category = metadata.category
-    watch = _Stopwatch()
+    watch = Stopwatch()
     sample = sample_region(
         frame,
         region,
         image_size=metadata.image_size,
         num_points=metadata.num_points,
-        radius_m=category.region_radius_m,
+        radius_m=metadata.category.region_radius_m,
     )
     watch.stage("sampling")
     if isinstance(sample, str):
-        return ArticulatedPose(tuple(NotSeen(part.name, sample) for part in category.parts), watch.stage_ms)
+        return ArticulatedPose(tuple(NotSeen(part.name, sample) for part in metadata.category.parts), watch.stage_ms)
     output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
     watch.stage("network")
+    return pose_from_output(metadata, sample, output, watch)
+
+
+def pose_from_output(
+    metadata: BundleMetadata, sample: RegionSample, output: NetworkOutput, watch: Stopwatch | None = None
+) -> ArticulatedPose:
+    """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
+    watch = watch or Stopwatch()
     points = sample.points_camera[: sample.num_distinct]
     labels = output.part_logits[: sample.num_distinct].argmax(axis=1)
     parts = tuple(
-        _estimate_part(
-            part,
-            index,
-            points,
-            np.flatnonzero(labels == index),
-            output,
-            category.num_voted,
-            metadata.voxel_m,
-            watch,
-        )
-        for index, part in enumerate(category.parts)
+        _estimate_part(part, index, points, np.flatnonzero(labels == index), output, metadata, watch)
+        for index, part in enumerate(metadata.category.parts)
     )
     return ArticulatedPose(parts, watch.stage_ms)
 
 
-class _Stopwatch:
+class Stopwatch:
     """Adds the wall time since the last call to a stage."""
 
     def __init__(self) -> None:
-        self.stage_ms = dict.fromkeys(STAGES, 0.0)
+        self.stage_ms: dict[str, float] = dict.fromkeys(map(str, STAGES), 0.0)
         self.since = perf_counter()
 
     def stage(self, name: str) -> None:
@@ -78,9 +77,8 @@ def _estimate_part(
     points_camera: NDArray[np.float32],
     members: NDArray[np.intp],
     output: NetworkOutput,
-    num_voted: int,
-    voxel_m: float,
-    watch: _Stopwatch,
+    metadata: BundleMetadata,
+    watch: Stopwatch,
 ) -> PartPose | NotSeen:
     """Votes, then pose, of one part from its points (`members` indexes points and outputs alike)."""
     if len(members) < MIN_PART_POINTS:
@@ -89,7 +87,8 @@ def _estimate_part(
             f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed",
         )
     voters = members[:MAX_VOTERS]  # a prefix of the progressive order covers the part evenly
-    votes = score_keypoints(points_camera[voters], output.radii_m[voters, :num_voted], voxel_m=voxel_m)
+    voted_radii_m = output.radii_m[voters, : metadata.category.num_voted]
+    votes = score_keypoints(points_camera[voters], voted_radii_m, voxel_m=metadata.voxel_m)
     watch.stage("scoring")
     extents_m = output.extents_m[index].astype(np.float64)
     registration = register_part(

@@ -17,7 +17,7 @@ class RgbdFrame:
     """Colour and depth seen by one camera at one time.
 
     color: (H,W,3) uint8 RGB. depth_m: (H,W) float32 z-depth in metres registered to colour, 0 = no reading.
-    camera: the undistorted pinhole both share. timestamp_s: the source's clock. index: the frame's number in its source.
+    camera: the undistorted pinhole of both. timestamp_s: the source's clock. index: the frame's number in its source.
     """
 
     color: NDArray[np.uint8]

@@ -60,13 +60,9 @@ def require_rigid(T_a_b: Array, *, name: str) -> Array:
     """T_a_b unchanged as float64 (4,4), or a ValueError saying how it is not a rigid transform."""
     T = np.asarray(T_a_b, dtype=float)
     if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise ValueError(
-            f"{name}: expected a finite 4x4 transform, got shape {T.shape}; check the file it is from"
-        )
+        raise ValueError(f"{name}: expected a finite 4x4 transform, got shape {T.shape}; check the file it is from")
     if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9):
-        raise ValueError(
-            f"{name}: expected the last row 0 0 0 1, got {T[3].tolist()}; is it stored transposed?"
-        )
+        raise ValueError(f"{name}: expected the last row 0 0 0 1, got {T[3].tolist()}; is it stored transposed?")
     R = T[:3, :3]
     determinant = float(np.linalg.det(R))
     if not np.allclose(R.T @ R, np.eye(3), atol=ORTHONORMAL_TOLERANCE) or determinant < 0:

@@ -60,9 +60,7 @@ def nearest(queries: NDArray[np.float32], points: NDArray[np.float32], count: in
 def find_neighbours(points: NDArray[np.float32]) -> Neighbours:
     """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision."""
     if points.shape != (LEVELS[0], 3):
-        raise ValueError(
-            f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many"
-        )
+        raise ValueError(f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many")
     level = [points[:count] for count in LEVELS]
     return Neighbours(
         group1=nearest(level[1], level[0], GROUP_SIZE),

@@ -28,6 +28,12 @@ class NetworkOutput:
     side_logits: NDArray[np.float32]
     extents_m: NDArray[np.float32]
 
+    @staticmethod
+    def from_graph(values: tuple[NDArray[np.float32], ...], region_radius_m: float) -> NetworkOutput:
+        """From the graph's outputs (OUTPUT_NAMES, batch of one), which count lengths in region radii."""
+        logits, radii, sides, log_extents = values
+        return NetworkOutput(logits[0], radii[0] * np.float32(region_radius_m), sides[0], np.exp(log_extents[0]))
+
 
 class Network:
     """A loaded bundle, ready to run."""
@@ -36,7 +42,7 @@ class Network:
         """Load a bundle; threads 0 leaves the number to onnxruntime. Raises BundleError with the reason."""
         self.path = Path(path)
         if not self.path.is_file():
-            raise BundleError(f"bundle: no file {self.path}; expected a .onnx file written by page-export")
+            raise BundleError(f"bundle: no file {self.path}; expected an .onnx file made by page-export")
         size = self.path.stat().st_size
         if not 0 < size <= MAX_BUNDLE_BYTES:
             raise BundleError(f"bundle {self.path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {size}")
@@ -44,12 +50,8 @@ class Network:
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
         try:
-            self.session = ort.InferenceSession(
-                self.path.read_bytes(), options, providers=["CPUExecutionProvider"]
-            )
-        except (
-            Exception
-        ) as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
+            self.session = ort.InferenceSession(self.path.read_bytes(), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
             reason = str(error).splitlines()[0]
             raise BundleError(
                 f"bundle {self.path}: onnxruntime cannot load it ({reason}); is it an exported, complete .onnx file?"
@@ -57,7 +59,7 @@ class Network:
         document = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if document is None:
             raise BundleError(
-                f"bundle {self.path}: an ONNX model, but without {METADATA_KEY!r} in its metadata; export it with page-export"
+                f"bundle {self.path}: an ONNX model without {METADATA_KEY!r} in its metadata; export it with page-export"
             )
         self.metadata = BundleMetadata.from_json(document)
         self._check_signature()
@@ -68,16 +70,13 @@ class Network:
         outputs = tuple(value.name for value in self.session.get_outputs())
         if names != INPUT_NAMES or outputs != OUTPUT_NAMES:
             raise BundleError(
-                f"bundle {self.path}: expected inputs {INPUT_NAMES} and outputs {OUTPUT_NAMES}, got {names} and {outputs}"
+                f"bundle {self.path}: expected inputs {INPUT_NAMES} and outputs {OUTPUT_NAMES}, "
+                f"got {names} and {outputs}"
             )
         metadata = self.metadata
         if metadata.num_points != LEVELS[0]:
-            raise BundleError(
-                f"bundle {self.path}: expected num_points {LEVELS[0]}, got {metadata.num_points}"
-            )
-        shapes = {
-            value.name: value.shape for value in (*self.session.get_inputs(), *self.session.get_outputs())
-        }
+            raise BundleError(f"bundle {self.path}: expected num_points {LEVELS[0]}, got {metadata.num_points}")
+        shapes = {value.name: value.shape for value in (*self.session.get_inputs(), *self.session.get_outputs())}
         parts, keypoints = len(metadata.category.parts), metadata.category.num_keypoints
         expected = {
             "image": [1, 3, metadata.image_size, metadata.image_size],
@@ -89,24 +88,22 @@ class Network:
         }
         for name, shape in expected.items():
             if shapes[name] != shape:
-                raise BundleError(
-                    f"bundle {self.path}: expected {name} {shape} by its metadata, got {shapes[name]}"
-                )
+                raise BundleError(f"bundle {self.path}: expected {name} {shape} by its metadata, got {shapes[name]}")
+
+    def feeds(self, sample: RegionSample, neighbours: Neighbours) -> dict[str, NDArray[np.generic]]:
+        """The graph's inputs: image (1,3,S,S) in [0,1]; points (1,N,3) centred, in region radii; the rest as it is."""
+        image = np.ascontiguousarray(sample.image.transpose(2, 0, 1)[None], dtype=np.float32)
+        image *= np.float32(1 / 255)
+        unit = np.float32(self.metadata.category.region_radius_m)
+        points = (sample.points_camera - sample.center_camera)[None] / unit
+        tables = {name: getattr(neighbours, name)[None] for name in INPUT_NAMES[3:]}
+        return {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
+
+    def run_raw(self, sample: RegionSample, neighbours: Neighbours) -> tuple[NDArray[np.float32], ...]:
+        """The graph's outputs as they are, in the order of OUTPUT_NAMES."""
+        outputs = self.session.run(OUTPUT_NAMES, self.feeds(sample, neighbours))
+        return tuple(np.asarray(value, dtype=np.float32) for value in outputs)
 
     def run(self, sample: RegionSample, neighbours: Neighbours) -> NetworkOutput:
         """One forward pass for all parts."""
-        unit = np.float32(self.metadata.category.region_radius_m)
-        image = np.ascontiguousarray(sample.image.transpose(2, 0, 1)[None], dtype=np.float32)
-        image *= np.float32(1 / 255)
-        points = (sample.points_camera - sample.center_camera)[None] / unit
-        tables = {name: getattr(neighbours, name)[None] for name in INPUT_NAMES[3:]}
-        feeds = {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
-        logits, radii, sides, log_extents = (
-            np.asarray(value) for value in self.session.run(OUTPUT_NAMES, feeds)
-        )
-        return NetworkOutput(
-            part_logits=logits[0],
-            radii_m=radii[0] * unit,
-            side_logits=sides[0],
-            extents_m=np.exp(log_extents[0].astype(np.float32)),
-        )
+        return NetworkOutput.from_graph(self.run_raw(sample, neighbours), self.metadata.category.region_radius_m)

@@ -74,7 +74,7 @@ def check_region(region: Region, width: int, height: int) -> Region:
         raise ValueError(f"region: expected a positive size x,y,w,h in pixels, got {x},{y},{w},{h}")
     if x >= width or y >= height or x + w <= 0 or y + h <= 0:
         raise ValueError(
-            f"region: {x},{y},{w},{h} lies outside the {width}x{height} image; give x,y,w,h in pixels of the colour image"
+            f"region: {x},{y},{w},{h} lies outside the {width}x{height} image; expected x,y,w,h in pixels of it"
         )
     return region
 
@@ -125,10 +125,13 @@ def sample_region(
     pixels = np.stack([u, v], axis=-1)[valid].astype(np.float32)
     points = frame.camera.backproject(pixels, depth[valid]).astype(np.float32)
     middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
-    anchor = frame.camera.backproject(middle, np.float64(np.median(central_depth)))
+    anchor = frame.camera.backproject(middle, np.asarray(np.median(central_depth)))
     near = np.flatnonzero(((points - anchor.astype(np.float32)) ** 2).sum(axis=1) < radius_m**2)[:num_points]
     if len(near) < MIN_POINTS:
-        return f"not seen: {len(near)} depth readings within {radius_m:.2f} m of the region's centre, at least {MIN_POINTS} are needed"
+        return (
+            f"not seen: {len(near)} depth readings within {radius_m:.2f} m of the region's centre, "
+            f"at least {MIN_POINTS} are needed"
+        )
     chosen = np.resize(near, num_points)
     scale = image_size / side
     crop_pixels = (pixels[chosen] - np.array([x, y], np.float32) + 0.5) * np.float32(scale) - 0.5
