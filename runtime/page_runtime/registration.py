@@ -1,0 +1,259 @@
+"""From the votes and radii of one part to its pose and scale (PAGE Sec. III-E; METHOD 10, 11, 12).
+
+Keypoints are given in units of the part's diagonal: x_camera = s R kappa + t with s the diagonal in metres,
+so a pose has seven degrees of freedom. Three keypoints give a pose in closed form, but three points have no
+handedness: where a part is planar their mirror image fits as well. Hence poses of several triples and modes
+are compared on all N n radii, on the part's box and, where the part is planar, on the learned side of the
+keypoints; the few best are refined on all radii at once, which uses every vote again and yields a
+covariance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime import multilateration
+from page_runtime.geometry import transform_from
+from page_runtime.hypotheses import Evidence, candidates
+from page_runtime.multilateration import UNUSABLE_RADIUS_M, FloatArray
+from page_runtime.scoring import MAX_RANGE_M, KeypointVotes
+from page_runtime.similarity import Similarities, skew
+
+# A runner-up with this share of the best pose's support is not told apart from it: the share at which scoring
+# still calls a mode a rival.
+AMBIGUOUS_RATIO = 0.95
+
+_POSE_POINTS = 400
+_CANDIDATE_POINTS = 112
+_MAX_REFINED = 3
+# Lengths in units of the part's diagonal. Poses whose keypoints are closer than _DISTINCT, root mean
+# square, refine one another: correlated errors make several minima about as good some 0.15 apart, which is
+# no ambiguity.
+_DISTINCT = 0.25
+_BOX_MARGIN = 0.08
+_COARSE_GATES = (0.2, 0.12, 0.08, 0.08)
+_FINE_GATES = (0.08, 0.08, 0.08)
+# Smallest over middle standard deviation of the points, below which the principal normal is the surface's.
+_PLANAR = 0.2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Registration:
+    """Pose of a part. T_camera_part: (4, 4) rigid; scale_m: diagonal s, so x_camera = s R kappa + t.
+
+    covariance: (7, 7) of (rotation vector about the part's origin in camera axes, rad; t, m; log s), from
+    the normal equations under independent radius errors, so optimistic where a network's errors are
+    correlated. residual_m: sigma of the radii by weighted root mean square; inlier_share: radii within 3.5
+    sigma; runner_up_ratio: support of the second distinct pose over that of this one, 1 =
+    indistinguishable, 0 = none. keypoints_camera: (n, 3) m, of the pose.
+    """
+
+    T_camera_part: FloatArray
+    scale_m: float
+    covariance: FloatArray
+    residual_m: float
+    inlier_share: float
+    runner_up_ratio: float
+    keypoints_camera: FloatArray
+
+
+def register_part(
+    points_camera: NDArray[np.floating],
+    radii_m: NDArray[np.floating],
+    keypoints_unit: NDArray[np.floating],
+    votes: tuple[KeypointVotes, ...],
+    *,
+    extents_unit: NDArray[np.floating],
+    scale_range_m: tuple[float, float],
+    side_logits: NDArray[np.floating] | None = None,
+) -> Registration | str:
+    """Pose and scale of one part, or the reason why there is none.
+
+    points_camera: (N, 3) m; radii_m: (N, n) m, to all n keypoints, n >= 3; keypoints_unit: (n, 3), in the
+    part's canonical frame in units of its diagonal; votes: of the first len(votes) keypoints, from
+    `score_keypoints`; extents_unit: (3,), the part's box about the canonical origin, in diagonals;
+    scale_range_m: diagonals that the category's parts can have, with what margin is wanted; side_logits:
+    (N, len(votes)), > 0 where keypoint j lies on the camera's side of the surface at point i, used where
+    the points are nearly planar.
+
+    1. Modes of each keypoint: the peaks of its votes and the robust multilateration of its radii from both
+       mirror starts. A keypoint without votes, or whose votes have no peak, thus has modes as well.
+    2. Poses by Umeyama of the combinations of modes of a few keypoint triples; those whose scale or
+       triangle is wrong are dropped.
+    3. Support of a pose: mean Geman-McClure inlier mass of all its radii x share of the points in the
+       part's box x agreement of the sides. The best distinct poses are refined by Gauss-Newton over
+       rotation, translation and log scale on all radii, and the best supported is returned.
+
+    A runner-up with over AMBIGUOUS_RATIO of its support means that neither radii, box nor sides decide: the
+    reason then starts with "ambiguous". Points and radii that are not finite do not count. Raises
+    ValueError for wrong shapes.
+    """
+    points, radii, kappa = _checked(
+        points_camera, radii_m, keypoints_unit, len(votes), extents_unit, scale_range_m, side_logits
+    )
+    usable_points = np.all(np.abs(points) <= MAX_RANGE_M, axis=1)
+    chosen = np.flatnonzero(usable_points)
+    chosen = chosen[multilateration.thinned(len(chosen), _POSE_POINTS)]
+    if len(chosen) < 4:
+        return f"{len(chosen)} usable points, four are needed"
+    counted = radii[chosen].T
+    counted = np.where((counted >= 0.0) & (counted <= MAX_RANGE_M), counted, UNUSABLE_RADIUS_M)
+    anchors = multilateration.anchors_from(points[chosen])
+    spread, axes = multilateration.principal_axes(anchors.relative)
+    if spread[1] <= max(1e-3 * spread[0], 1e-5):
+        return "the points lie on one line, about which the part can turn"
+    normal = axes[:, 2] * (1.0 if axes[:, 2] @ anchors.origin < 0.0 else -1.0)
+    sides = None
+    if side_logits is not None and len(votes) and spread[2] <= _PLANAR * spread[1]:
+        sides = np.tanh(0.5 * np.nan_to_num(np.asarray(side_logits, np.float64)[chosen], posinf=40.0, neginf=-40.0))
+    evidence = Evidence(anchors, counted, kappa, np.asarray(extents_unit, np.float64), sides, normal)
+    sketch = evidence.thinned(_CANDIDATE_POINTS)
+    poses = candidates(sketch, votes, scale_range_m)
+    low, high = scale_range_m
+    if len(poses) == 0:
+        return f"no combination of keypoint modes forms the part's triangle at a scale of {low:.3g} to {high:.3g} m"
+    poses = poses.take(_distinct_best(poses, _support(poses, sketch), kappa))
+    poses = _refined(poses, sketch, _COARSE_GATES)
+    support = _support(poses, evidence)
+    order = _distinct_best(poses, support, kappa)
+    ratio = float(support[order[1]] / max(support[order[0]], 1e-12)) if len(order) > 1 else 0.0
+    if ratio > AMBIGUOUS_RATIO:
+        return f"ambiguous: another pose has {ratio:.3f} of this one's support, and neither box nor sides decide"
+    best = _refined(poses.take(order[:1]), evidence, _FINE_GATES)
+    if not low <= best.s[0] <= high:
+        return f"the refined scale {best.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
+    return _registration(best, evidence, ratio)
+
+
+def _checked(
+    points_camera: NDArray[np.floating],
+    radii_m: NDArray[np.floating],
+    keypoints_unit: NDArray[np.floating],
+    num_voted: int,
+    extents_unit: NDArray[np.floating],
+    scale_range_m: tuple[float, float],
+    side_logits: NDArray[np.floating] | None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    points, radii = np.asarray(points_camera, np.float64), np.asarray(radii_m, np.float64)
+    kappa = np.asarray(keypoints_unit, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points_camera: expected (N, 3) metres, got {points.shape}; pass one part's points as rows")
+    if kappa.ndim != 2 or kappa.shape[1] != 3 or len(kappa) < 3:
+        raise ValueError(
+            f"keypoints_unit: expected (n, 3) with n >= 3, got {kappa.shape}; a pose needs three keypoints"
+        )
+    if radii.shape != (len(points), len(kappa)):
+        raise ValueError(
+            f"radii_m: expected {(len(points), len(kappa))}, a row for each point and a column for each keypoint, "
+            f"got {radii.shape}; select the same points and the part's own keypoints"
+        )
+    if num_voted > len(kappa):
+        raise ValueError(f"votes: expected at most {len(kappa)}, one for each keypoint, got {num_voted}; score fewer")
+    if np.shape(extents_unit) != (3,):
+        raise ValueError(f"extents_unit: expected (3,), got {np.shape(extents_unit)}; pass the part's box in diagonals")
+    if not 0.0 < scale_range_m[0] <= scale_range_m[1] < float("inf"):
+        raise ValueError(f"scale_range_m: expected 0 < low <= high, got {scale_range_m}; pass diagonals in metres")
+    if side_logits is not None and np.shape(side_logits) != (len(points), num_voted):
+        raise ValueError(
+            f"side_logits: expected {(len(points), num_voted)}, a column for each voted keypoint, "
+            f"got {np.shape(side_logits)}; pass the columns of the voted keypoints, or None"
+        )
+    return points, radii, kappa
+
+
+def _support(poses: Similarities, evidence: Evidence) -> FloatArray:
+    """(C,) in [0, 1]: inlier mass of the radii x points in the box x agreement of the sides."""
+    anchors = evidence.anchors
+    place = poses.place(evidence.keypoints_unit) - anchors.origin
+    num_poses, num_keypoints, _ = place.shape
+    distance = multilateration.distances(place.reshape(-1, 3), anchors)
+    residuals = distance.reshape(num_poses, num_keypoints, -1) - evidence.radii_m
+    size_m = float(np.median(poses.s))
+    scales = multilateration.gated_scales(
+        residuals.reshape(num_poses * num_keypoints, -1), _COARSE_GATES[0] * size_m, 1e-3 * size_m
+    )
+    # One scale for all poses, the best one's: with its own each pose would excuse its errors.
+    ratio = residuals / scales.reshape(num_poses, num_keypoints, 1).min(axis=0)
+    mass = np.mean(1.0 / (1.0 + ratio * ratio), axis=(1, 2))
+    points = anchors.relative - (poses.t - anchors.origin)[:, None]
+    canonical = np.abs(points @ poses.R) / poses.s[:, None, None]
+    boxed = np.mean((canonical <= 0.5 * evidence.extents_unit + _BOX_MARGIN).all(axis=2), axis=1)
+    agreement = np.zeros(num_poses)
+    if evidence.sides is not None:
+        num_voted = evidence.sides.shape[1]
+        heights = (place[:, :num_voted] @ evidence.normal)[:, :, None]
+        heights = heights - anchors.relative @ evidence.normal
+        towards = np.tanh(heights / (0.02 * size_m))
+        agreement = np.mean(towards * evidence.sides.T, axis=(1, 2))
+    return mass * (0.2 + 0.8 * boxed) * (0.5 + 0.5 * agreement)
+
+
+def _distinct_best(poses: Similarities, support: FloatArray, kappa: FloatArray) -> NDArray[np.intp]:
+    """Indices of poses, best supported first, each distinct in its keypoints from those before it."""
+    place = poses.place(kappa)
+    order = np.argsort(-support, kind="stable")
+    chosen: list[int] = []
+    while len(order) and len(chosen) < _MAX_REFINED:
+        chosen.append(int(order[0]))
+        apart = np.sqrt(np.mean(np.sum((place[order] - place[order[0]]) ** 2, axis=2), axis=1))
+        order = order[apart > _DISTINCT * poses.s[chosen[-1]]]
+    return np.array(chosen, np.intp)
+
+
+def _normal_equations(
+    poses: Similarities, evidence: Evidence, scales_m: FloatArray | None, gate: float
+) -> tuple[FloatArray, FloatArray, multilateration.RadialSystem]:
+    """(B, n, 7, 7) and (B, n, 7), for each keypoint, unscaled, and the sums over points they come from.
+
+    d e_ij = u_ij . (omega x a_j + dt + a_j dlog s) = u_ij . B_j step, so the points enter by sum w u u^T
+    alone.
+    """
+    arms = poses.arms(evidence.keypoints_unit)
+    count, num_keypoints, _ = arms.shape
+    place = (arms + (poses.t - evidence.anchors.origin)[:, None]).reshape(-1, 3)
+    size_m = float(np.median(poses.s))
+    radii = np.tile(evidence.radii_m, (count, 1))
+    system = multilateration.radial_system(place, evidence.anchors, radii, scales_m, gate * size_m, 1e-4 * size_m)
+    jacobian = np.empty((count, num_keypoints, 3, 7))
+    jacobian[..., :3] = -skew(arms)
+    jacobian[..., 3:6] = np.eye(3)
+    jacobian[..., 6] = arms
+    transposed = jacobian.transpose(0, 1, 3, 2)
+    hessian = transposed @ system.hessian.reshape(count, num_keypoints, 3, 3) @ jacobian
+    gradient = (transposed @ system.gradient.reshape(count, num_keypoints, 3, 1))[..., 0]
+    return hessian, gradient, system
+
+
+def _refined(poses: Similarities, evidence: Evidence, gates: tuple[float, ...]) -> Similarities:
+    """Gauss-Newton over seven degrees of freedom on all radii, each keypoint weighted by its own scale."""
+    scales_m = None
+    for round_, gate in enumerate(gates):
+        # The scale moves little and its sort costs as much as the rest of an iteration.
+        hessian, gradient, system = _normal_equations(poses, evidence, scales_m if round_ % 2 else None, gate)
+        scales_m = system.scales
+        precision = (1.0 / scales_m**2).reshape(len(poses), -1, 1)
+        step = multilateration.damped_step(
+            (hessian * precision[..., None]).sum(axis=1), (gradient * precision).sum(axis=1), limit=0.3
+        )
+        step[:, 6] = np.clip(step[:, 6], -0.5, 0.5)
+        poses = poses.moved(-step)
+    return poses
+
+
+def _registration(pose: Similarities, evidence: Evidence, runner_up_ratio: float) -> Registration:
+    """The one pose with its covariance and residuals."""
+    hessian, _, system = _normal_equations(pose, evidence, None, _FINE_GATES[-1])
+    squares = system.weights * system.residuals**2
+    weight = np.maximum(system.weights.sum(axis=1), 1e-12)
+    variance = np.maximum(squares.sum(axis=1) / weight, 1e-14)
+    information = (hessian[0] / variance[:, None, None]).sum(axis=0)
+    return Registration(
+        T_camera_part=np.asarray(transform_from(pose.R[0], pose.t[0]), np.float64),
+        scale_m=float(pose.s[0]),
+        covariance=np.linalg.inv(information + 1e-9 * np.eye(7)),
+        residual_m=float(np.sqrt(squares.sum() / weight.sum())),
+        inlier_share=float(np.mean(np.abs(system.residuals) <= system.scales)),
+        runner_up_ratio=runner_up_ratio,
+        keypoints_camera=pose.place(evidence.keypoints_unit)[0],
+    )
