@@ -1,0 +1,1 @@
+"""Where frames come from: playback of each format on disk."""

@@ -1,0 +1,133 @@
+"""Folders of one BOP scene ("scenewise" format): rgb/, depth/, scene_camera.json and, where known, scene_gt*.json.
+
+BOP says neither what the parts of an object are nor how their canonical frames lie, so a foreign scene gives regions
+(one instance for each entry of scene_gt_info.json) and no truths. The project's own recordings say it in
+recording.json.
+Format: https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from page_runtime.camera import Camera
+from page_runtime.capture.documents import field, listed, number, numbers, pictures, read_object, require_folder
+from page_runtime.geometry import Array, transform_from
+from page_runtime.image_files import SourceError
+from page_runtime.recorded import FrameEntry, Instance, Source, camera_of_picture, require_playable
+from page_runtime.sampling import Region
+
+METRES_PER_MM = 1e-3
+FORMAT = "BOP scene folder"
+
+
+@dataclass(frozen=True, slots=True)
+class BopScene:
+    """A scene folder with its documents read; keys are frame numbers, the same in `cameras`, `color` and `depth`."""
+
+    path: Path
+    color: dict[int, Path]
+    depth: dict[int, Path]
+    cameras: dict[int, Any]
+    gt: dict[int, Any]
+    gt_info: dict[int, Any]
+
+    def entry(self, key: int, *, declared_size: tuple[int, int] | None = None) -> FrameEntry:
+        """Frame `key` without instances; declared_size: (width, height) that K is said to be for."""
+        where = f"{self.path / 'scene_camera.json'}, frame {key}"
+        values = self.cameras[key]
+        if not isinstance(values, dict) or values.get("depth_scale") is None:
+            raise SourceError(f"{where}: depth without a scale; expected 'depth_scale', mm per unit of depth")
+        scale_mm = number(values["depth_scale"], where=f"{where}, depth_scale")
+        K = numbers(field(values, "cam_K", where=where), 9, where=f"{where}, cam_K")
+        camera = camera_of_picture(K, self.color[key], where=where, declared_size=declared_size)
+        return FrameEntry(
+            color_path=self.color[key],
+            depth_path=self.depth[key],
+            metres_per_unit=scale_mm * METRES_PER_MM,
+            camera=_placed(camera, values, where=where),
+            index=key,
+        )
+
+
+def open_scene(path: Path) -> BopScene:
+    """Read a scene folder's documents; SourceError when pictures and documents do not name the same frames."""
+    color = _by_number(require_folder(path / "rgb", holding="colour pictures 000000.png ..."))
+    depth = _by_number(require_folder(path / "depth", holding="16-bit depth pictures 000000.png ..."))
+    if not color:
+        raise SourceError(f"{path / 'rgb'}: no pictures; expected 000000.png ...")
+    if not (path / "scene_camera.json").is_file():
+        raise SourceError(f"{path}: no scene_camera.json; expected cam_K and depth_scale of every frame in it")
+    cameras = _numbered(path, "scene_camera.json")
+    for place, present, wanted in (
+        ("in scene_camera.json", cameras, color),
+        ("in rgb/", color, cameras),
+        ("in depth/", depth, cameras),
+    ):
+        missing = sorted(set(wanted) - set(present))
+        if missing:
+            some = f"{len(missing)} of {len(wanted)} frames"
+            raise SourceError(f"{path}: {some} are not {place}, the first is {missing[0]}")
+    gt, gt_info = (
+        _numbered(path, name) if (path / name).exists() else {} for name in ("scene_gt.json", "scene_gt_info.json")
+    )
+    return BopScene(path, color, depth, dict(sorted(cameras.items())), gt, gt_info)
+
+
+def _by_number(folder: Path) -> dict[int, Path]:
+    return {int(name): file for name, file in pictures(folder).items() if name.isascii() and name.isdigit()}
+
+
+def _numbered(path: Path, name: str) -> dict[int, Any]:
+    try:
+        return {int(key): value for key, value in read_object(path / name).items()}
+    except ValueError as error:
+        if isinstance(error, SourceError):
+            raise
+        raise SourceError(f"{path / name}: expected frame numbers as keys ({error})") from error
+
+
+def read_bop(path: Path) -> Source:
+    """The scene folder as a source, without truths."""
+    scene = open_scene(path)
+    entries = []
+    for key in scene.cameras:
+        where = f"{path / 'scene_gt_info.json'}, frame {key}"
+        regions = (visible_box(info, where=where) for info in listed(scene.gt_info.get(key, []), where=where))
+        instances = tuple(Instance(region) for region in regions if region is not None)
+        entries.append(replace(scene.entry(key), instances=instances))
+    return require_playable(Source(path, FORMAT, tuple(entries)))
+
+
+def visible_box(info: Any, *, where: str) -> Region | None:
+    """bbox_visib (x,y,w,h) px of a scene_gt_info entry, None for what cannot be seen (BOP: -1, or no size)."""
+    box = info.get("bbox_visib") if isinstance(info, dict) else None
+    if box is None:
+        return None
+    x, y, width, height = (round(value) for value in numbers(box, 4, where=f"{where}, bbox_visib"))
+    return (x, y, width, height) if width > 0 and height > 0 else None
+
+
+def pose_of(entry: Any, *, where: str) -> Array:
+    """T_camera_part (4,4), metres, from cam_R_m2c and cam_t_m2c (mm) of a scene_gt entry."""
+    return _transform(entry, "cam_R_m2c", "cam_t_m2c", where=where)
+
+
+def _transform(entry: Any, rotation: str, translation: str, *, where: str) -> Array:
+    R = np.reshape(numbers(field(entry, rotation, where=where), 9, where=f"{where}, {rotation}"), (3, 3))
+    t_mm = np.array(numbers(field(entry, translation, where=where), 3, where=f"{where}, {translation}"))
+    return transform_from(R, t_mm * METRES_PER_MM)
+
+
+def _placed(camera: Camera, entry: dict[str, Any], *, where: str) -> Camera:
+    """The camera with T_camera_world where the entry has it."""
+    if "cam_R_w2c" not in entry:
+        return camera
+    try:
+        return replace(camera, T_camera_world=_transform(entry, "cam_R_w2c", "cam_t_w2c", where=where))
+    except ValueError as error:
+        raise SourceError(f"{where}: {error}") from error

@@ -1,0 +1,125 @@
+"""page-runtime: the pose of every part of articulated objects, frame by frame.
+
+Nothing heavy is imported here: a command's modules are loaded when it is asked for, and only after --threads was read,
+which numpy's BLAS takes from the environment when it is loaded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from page_runtime.commands.usage import UsageError
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports errors as main() does: one sentence, without the usage text before it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}; see {self.prog} --help")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run page-runtime; returns the exit code: 0 done, 2 bad input (nothing was written), 130 interrupted."""
+    try:
+        options = vars(_parser().parse_args(arguments))
+        command = options.pop("command")
+        _prepare(options.get("threads", 0))
+        return _call(command, options)
+    except UsageError as error:
+        return _refuse(error)
+    except KeyboardInterrupt:
+        sys.stderr.write("page-runtime: interrupted\n")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the lines has enough; without this the interpreter would complain when it closes stdout.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _call(command: str, options: dict[str, object]) -> int:
+    """The command's function with its options; errors in what it was given become one sentence."""
+    from importlib import import_module
+
+    from page_runtime.bundle import BundleError
+    from page_runtime.image_files import SourceError
+
+    try:
+        getattr(import_module(f"page_runtime.commands.{command}"), command)(**options)
+    except (BundleError, SourceError) as error:
+        return _refuse(error)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        return _refuse(error)
+    return 0
+
+
+def _refuse(error: Exception) -> int:
+    sys.stderr.write(f"page-runtime: {' '.join(str(error).split())}\n")
+    return EXIT_BAD_INPUT
+
+
+def _prepare(threads: int) -> None:
+    """Set what OpenCV and numpy's BLAS read once, when they are loaded."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    if threads > 0:
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ[name] = str(threads)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
+
+    def command(name: str, description: str, given: str, meaning: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=description, description=description)
+        sub.add_argument(given, metavar=given.upper(), type=Path, help=meaning)
+        return sub
+
+    def common(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--bundle", metavar="B", type=Path, required=True, help="the category's .onnx file")
+        sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
+        sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
+
+    overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
+    run = command("run", "write one JSON line for every object in every frame", "source", "a folder of RGB-D frames")
+    region_help = "where the object is, px; default: where the source says"
+    run.add_argument("--region", metavar="X,Y,W,H", type=_region, help=region_help)
+    run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
+    run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
+    common(run)
+    validate = command("validate", "compare with the truth of a recording", "recording", "a folder with true poses")
+    validate.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
+    validate.add_argument("--overlay", metavar="DIR", type=Path, help=f"{overlay_help}, and the true boxes")
+    common(validate)
+    bench = command("bench", "time every stage", "recording", "a folder of RGB-D frames with regions")
+    bench.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
+    common(bench)
+    inspect = command("inspect", "say what a bundle holds", "bundle", "a .onnx file")
+    inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
+    return parser
+
+
+def _region(text: str) -> tuple[int, int, int, int]:
+    try:
+        x, y, width, height = (int(value) for value in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected four whole numbers x,y,w,h in pixels, got {text!r}") from None
+    return x, y, width, height
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, got {text!r}")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""page-runtime bench: the time of every stage beside the paper's."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from page_runtime.bench import PAPER_MS, PERCENTILES, available_threads, passes_needed, report, time_estimates
+from page_runtime.commands.inputs import open_inputs
+from page_runtime.commands.outputs import require_file_place, write_json
+from page_runtime.commands.terminal import Progress, number, table
+from page_runtime.commands.usage import UsageError
+
+
+def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, quiet: bool) -> None:
+    """Time every frame of `recording`; write the figures to `json` and a table to standard output."""
+    inputs = open_inputs(recording, bundle, threads=threads)
+    require_file_place(json, option="--json")
+    passes = passes_needed(inputs.source)
+    with Progress("bench", passes * len(inputs.source), quiet=quiet) as progress:
+        timings, left_out = time_estimates(inputs.network, inputs.source, passes=passes, on_frame=progress.advance)
+    if not timings:
+        raise UsageError(f"{recording}: no frame has enough depth in its region to run the network; nothing to time")
+    document = report(timings, threads=threads or available_threads())
+    document |= {
+        "recording": recording.name,
+        "bundle": bundle.name,
+        "frames": len(inputs.source),
+        "left_out": left_out,
+    }
+    if json is not None:
+        write_json(json, document)
+    sys.stdout.write(readable(document))
+
+
+def readable(document: dict[str, Any]) -> str:
+    """The figures as a table for people."""
+    percentiles = [f"p{p}" for p in PERCENTILES]
+    rows = [
+        (name, *(number(figures[f"{p}_ms"], 1) for p in percentiles), number(PAPER_MS.get(name), 0))
+        for name, figures in (*document["stages"].items(), ("total", document["total"]))
+    ]
+    title = (
+        f"{document['recording']}: {document['measurements']} estimates of {document['frames']} frames after "
+        f"{document['warm_up']} of warm-up, bundle {document['bundle']}"
+    )
+    versions = ", ".join(f"{name} {value}" for name, value in document["versions"].items())
+    return (
+        f"{title}\n"
+        f"{table(('ms', *percentiles, 'paper'), rows)}"
+        f"peak resident memory {number(document['peak_rss_mb'], 0)} MB\n"
+        f"{document['threads']} threads, {document['cpu']}\n"
+        f"{versions}\n"
+    )

@@ -1,0 +1,65 @@
+"""page-runtime inspect: what a bundle says about itself."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from page_runtime.bundle import BundleMetadata
+from page_runtime.category import Joint
+from page_runtime.network import Network
+
+
+def inspect(bundle: Path, *, as_json: bool) -> None:
+    """Write the bundle's metadata to standard output, for people or as the JSON document it is."""
+    metadata = Network(bundle, threads=1).metadata
+    sys.stdout.write(metadata.to_json() + "\n" if as_json else readable(metadata, bundle))
+
+
+def readable(metadata: BundleMetadata, bundle: Path) -> str:
+    """The metadata in words, all of it."""
+    category = metadata.category
+    lines = [
+        f"{bundle}: {bundle.stat().st_size / 1e6:.2f} MB",
+        f"category       {category.name}",
+        f"network        {metadata.num_points} points, {metadata.image_size}x{metadata.image_size} px, "
+        f"ONNX opset {metadata.opset}",
+        f"scoring        {category.num_voted} of {category.num_keypoints} keypoints of a part are voted, "
+        f"voxels of {metadata.voxel_m * 1e3:g} mm",
+        f"region         points within {category.region_radius_m:g} m of its middle",
+    ]
+    for k, part in enumerate(category.parts):
+        low, high = part.diagonal_range_m
+        lines += [
+            f"part {k}         {part.name}",
+            f"  frame        {part.frame}",
+            f"  box          {_numbers(part.extents_unit)} of its diagonal along x, y, z on average; "
+            f"diagonal {low:g} to {high:g} m",
+            "  keypoints    in units of the diagonal, canonical frame",
+            *(
+                f"    {i}{' voted' if i < category.num_voted else '      '}    {_numbers(keypoint)}"
+                for i, keypoint in enumerate(part.keypoints_unit)
+            ),
+        ]
+    lines += [
+        f"joint          {joint.name}: {category.parts[joint.child].name} against {category.parts[joint.parent].name}, "
+        f"{joint.kind} about {_numbers(np.array(joint.axis))} of {category.parts[joint.parent].name}, "
+        f"state {_limits(joint)}, 0 where both frames are parallel"
+        for joint in category.joints
+    ]
+    lines += ["provenance", *(f"  {name:<12} {json.dumps(value)}" for name, value in metadata.provenance.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in values) + ")"
+
+
+def _limits(joint: Joint) -> str:
+    low, high = joint.limits
+    if joint.kind == "prismatic":
+        return f"{low:g} to {high:g} m"
+    return f"{np.degrees(low):g} to {np.degrees(high):g} deg"

@@ -1,0 +1,92 @@
+"""page-runtime validate: estimates against the truth of a recording."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from page_runtime.commands.inputs import estimates, open_inputs
+from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, write_json
+from page_runtime.commands.terminal import Progress, number, table
+from page_runtime.commands.usage import UsageError
+from page_runtime.evaluation import PartError, part_errors, summarise
+from page_runtime.overlay import draw
+
+HEADER = (
+    "part", "visible", "missing", "rot mean", "median", "trans mean", "median", "of diag.", "IoU mean", "median",
+    "5deg5cm", "10deg10cm", "failures",
+)  # fmt: skip
+UNITS = ("", "", "", "deg", "deg", "mm", "mm", "%", "", "", "%", "%", "%")
+
+
+def validate(
+    recording: Path, *, bundle: Path, json: Path | None, overlay: Path | None, threads: int, quiet: bool
+) -> None:
+    """Estimate every object with truth; write the figures to `json` and a table to standard output."""
+    inputs = open_inputs(recording, bundle, threads=threads)
+    if not inputs.source.has_truth:
+        raise UsageError(f"{recording}: this {inputs.source.format} has no true poses to compare with")
+    require_file_place(json, option="--json")
+    require_folder_place(overlay, option="--overlay")
+    errors: list[PartError] = []
+    instances = 0
+    with (
+        overlay_output(overlay) as pictures,
+        Progress("validate", len(inputs.source), quiet=quiet) as progress,
+    ):
+        for recorded, found in estimates(inputs):
+            for instance, pose in found:
+                if instance.truths is not None:
+                    errors.extend(part_errors(pose, instance.truths))
+                    instances += 1
+            if pictures is not None:
+                pictures.add(recorded.frame.index, draw(recorded.frame, found, with_truth=True))
+            progress.advance()
+    names = [part.name for part in inputs.network.metadata.category.parts]
+    document = {
+        "recording": recording.name,
+        "bundle": bundle.name,
+        "category": inputs.network.metadata.category.name,
+        "frames": len(inputs.source),
+        "instances": instances,
+        "parts": [summarise(errors, name) for name in names],
+    }
+    if json is not None:
+        write_json(json, document)
+    sys.stdout.write(readable(document))
+
+
+def readable(document: dict[str, Any]) -> str:
+    """The figures as a table for people."""
+    rows = [UNITS, *(_row(part) for part in document["parts"])]
+    counts = f"{document['frames']} frames, {document['instances']} objects"
+    title = f"{document['recording']}: {counts}, bundle {document['bundle']}"
+    notes = (
+        "rotation, translation: over visible parts that have a pose; the rest: over all visible parts\n"
+        "failure: no pose, or worse than 30 deg or half the part's diagonal\n"
+    )
+    return f"{title}\n{table(HEADER, rows)}{notes}"
+
+
+def _row(part: dict[str, Any]) -> tuple[str, ...]:
+    rotation, translation, iou = part["rotation_deg"], part["translation_m"], part["iou"]
+    return (
+        part["name"],
+        str(part["visible"]),
+        str(part["missing"]),
+        number(rotation["mean"], 2),
+        number(rotation["median"], 2),
+        number(_times(translation["mean"], 1e3), 1),
+        number(_times(translation["median"], 1e3), 1),
+        number(_times(part["translation_share"]["mean"], 100), 1),
+        number(iou["mean"], 3),
+        number(iou["median"], 3),
+        number(_times(part["acc_5deg5cm"], 100), 1),
+        number(_times(part["acc_10deg10cm"], 100), 1),
+        number(_times(part["failure_rate"], 100), 1),
+    )
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor

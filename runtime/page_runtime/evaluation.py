@@ -1,0 +1,122 @@
+"""Estimates against truth: rotation, translation, exact box IoU, joint angle, and how often it failed.
+
+Rotation errors are geodesic angles, neither folded nor capped. What is counted:
+
+- Parts whose truth says that less than VISIBLE_SHARE of them can be seen are left out (a truth without a visible share
+  counts as visible).
+- Rotation and translation mean and median are over the visible parts that have a pose; null when there are none.
+- Everything else is over all visible parts, a missing pose counting as IoU 0, as no hit and as a failure.
+- A failure is a missing pose, or one worse than FAILURE_ROTATION_RAD or FAILURE_SHARE of the part's true diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from page_runtime.boxes import box_iou
+from page_runtime.geometry import Array, rotation_angle
+from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
+from page_runtime.recorded import PartTruth
+
+VISIBLE_SHARE = 0.1
+FAILURE_ROTATION_RAD = float(np.radians(30.0))
+FAILURE_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PartError:
+    """One visible part of one object in one frame. rotation_rad, translation_m: None when it has no pose. iou: of the
+    boxes, 0 when it has no pose. diagonal_m: of the true box."""
+
+    name: str
+    rotation_rad: float | None
+    translation_m: float | None
+    iou: float
+    diagonal_m: float
+
+    @property
+    def failed(self) -> bool:
+        """No pose, or one that is of no use (see the module)."""
+        return not self.within(FAILURE_ROTATION_RAD, FAILURE_SHARE * self.diagonal_m)
+
+    def within(self, rotation_rad: float, translation_m: float) -> bool:
+        """Whether the pose is at most this far from the truth; never when there is none."""
+        if self.rotation_rad is None or self.translation_m is None:
+            return False
+        return self.rotation_rad <= rotation_rad and self.translation_m <= translation_m
+
+
+def is_visible(truth: PartTruth) -> bool:
+    """Whether the part is seen enough to be asked for."""
+    return truth.visible_share is None or truth.visible_share >= VISIBLE_SHARE
+
+
+def rotation_error(T_camera_estimate: Array, T_camera_truth: Array) -> float:
+    """Geodesic angle between two poses' rotations, rad in [0, pi]."""
+    return float(rotation_angle(T_camera_estimate[:3, :3], T_camera_truth[:3, :3]))
+
+
+def translation_error(T_camera_estimate: Array, T_camera_truth: Array) -> float:
+    """Distance between two poses' origins, m."""
+    return float(np.linalg.norm(T_camera_estimate[:3, 3] - T_camera_truth[:3, 3]))
+
+
+def part_errors(pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[PartError, ...]:
+    """The error of every visible part; pose and truths name the same parts in any order, else ValueError."""
+    estimates = {part.name: part for part in pose.parts}
+    if estimates.keys() != {truth.name for truth in truths} or len(estimates) != len(truths):
+        raise ValueError(
+            f"truth: expected the parts {', '.join(estimates)} of the bundle, got {', '.join(t.name for t in truths)}"
+        )
+    return tuple(_part_error(estimates[truth.name], truth) for truth in truths if is_visible(truth))
+
+
+def _part_error(estimate: PartPose | NotSeen, truth: PartTruth) -> PartError:
+    diagonal_m = float(np.linalg.norm(truth.extents_m))
+    if isinstance(estimate, NotSeen):
+        return PartError(truth.name, None, None, 0.0, diagonal_m)
+    return PartError(
+        name=truth.name,
+        rotation_rad=rotation_error(estimate.T_camera_part, truth.T_camera_part),
+        translation_m=translation_error(estimate.T_camera_part, truth.T_camera_part),
+        iou=box_iou(estimate.T_camera_part, estimate.extents_m, truth.T_camera_part, truth.extents_m),
+        diagonal_m=diagonal_m,
+    )
+
+
+def summarise(errors: Iterable[PartError], name: str) -> dict[str, Any]:
+    """The figures of part `name` as `page-runtime validate` writes them; the module says what counts."""
+    own = [error for error in errors if error.name == name]
+    posed = [error for error in own if error.rotation_rad is not None]
+    rotations = [float(np.degrees(error.rotation_rad)) for error in posed if error.rotation_rad is not None]
+    translations = [error.translation_m for error in posed if error.translation_m is not None]
+    shares = [error.translation_m / error.diagonal_m for error in posed if error.translation_m is not None]
+    ious = [error.iou for error in own]
+    return {
+        "name": name,
+        "visible": len(own),
+        "missing": len(own) - len(posed),
+        "rotation_deg": _mean_median(rotations),
+        "translation_m": _mean_median(translations),
+        "translation_share": _mean_median(shares),
+        "iou": _mean_median(ious),
+        "iou25": _share([iou >= 0.25 for iou in ious]),
+        "iou50": _share([iou >= 0.50 for iou in ious]),
+        "acc_5deg5cm": _share([error.within(np.radians(5.0), 0.05) for error in own]),
+        "acc_10deg10cm": _share([error.within(np.radians(10.0), 0.10) for error in own]),
+        "failure_rate": _share([error.failed for error in own]),
+    }
+
+
+def _mean_median(values: list[float]) -> dict[str, float | None]:
+    if not values:
+        return {"mean": None, "median": None}
+    return {"mean": float(np.mean(values)), "median": float(np.median(values))}
+
+
+def _share(hits: list[bool]) -> float | None:
+    return float(np.mean(hits)) if hits else None

@@ -1,0 +1,248 @@
+"""The project's recording: a BOP scene folder, and recording.json for what BOP cannot say.
+
+    rgb/000000.png (or .jpg)   colour
+    depth/000000.png           uint16 in units of depth_scale
+    mask_visib/000000_000000.png  visible pixels of gt entry 0, 1, ... of a frame (where the writer knew them)
+    scene_camera.json          cam_K, depth_scale (mm a unit), cam_R_w2c and cam_t_w2c (mm) of a placed camera
+    scene_gt.json              cam_R_m2c, cam_t_m2c (mm), obj_id = 1 + index of the part
+    scene_gt_info.json         bbox_visib, px_count_visib, visib_fract where known
+    recording.json             version, category, parts, joint states, extents (m), regions (px), timestamps (s)
+
+BOP tools read it as it is: each part is a BOP object. Poses are of the canonical part frames (`page-runtime inspect`).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.capture.bop import METRES_PER_MM, BopScene, open_scene, pose_of
+from page_runtime.capture.documents import field, listed, number, numbers, read_object
+from page_runtime.geometry import Array
+from page_runtime.image_files import SourceError, read_mask, write_color, write_depth, write_mask
+from page_runtime.recorded import (
+    FrameEntry,
+    Instance,
+    PartTruth,
+    RecordedFrame,
+    Source,
+    require_central,
+    require_playable,
+)
+from page_runtime.sampling import check_region
+
+RECORDING_VERSION = 1
+RECORDING_FILE = "recording.json"
+FORMAT = "page-edge recording"
+
+Masks = Sequence[Sequence[NDArray[np.bool_]]]
+
+
+class RecordingWriter:
+    """Writes frames into a folder that appears, complete, when the `with` block ends, and not at all if it fails.
+
+    depth_unit_mm: resolution of stored depth; 1 is what depth cameras deliver and reaches 65 m, 0.1 reaches 6.5 m.
+    color_suffix: ".png" keeps every value, ".jpg" is a tenth of the size.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        category: str,
+        part_names: Sequence[str],
+        depth_unit_mm: float = 1.0,
+        color_suffix: Literal[".png", ".jpg"] = ".png",
+    ) -> None:
+        self.path = Path(path)
+        if self.path.exists():
+            raise FileExistsError(f"{self.path}: exists already; a recording never overwrites, give another name")
+        self.category = category
+        self.part_names = tuple(part_names)
+        self.depth_unit_mm = depth_unit_mm
+        self.color_suffix = color_suffix
+        self._partial = self.path.with_name(f".{self.path.name}.partial")
+        self._cameras: dict[str, Any] = {}
+        self._gt: dict[str, Any] = {}
+        self._gt_info: dict[str, Any] = {}
+        self._frames: dict[str, Any] = {}
+
+    def __enter__(self) -> RecordingWriter:
+        shutil.rmtree(self._partial, ignore_errors=True)
+        for name in ("rgb", "depth"):
+            (self._partial / name).mkdir(parents=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            return
+        recording = {
+            "version": RECORDING_VERSION,
+            "category": self.category,
+            "parts": list(self.part_names),
+            "frames": self._frames,
+        }
+        for name, document in (
+            ("scene_camera.json", self._cameras),
+            ("scene_gt.json", self._gt),
+            ("scene_gt_info.json", self._gt_info),
+            (RECORDING_FILE, recording),
+        ):
+            (self._partial / name).write_text(_one_frame_a_line(document), encoding="utf-8")
+        self._partial.rename(self.path)
+
+    def write(self, recorded: RecordedFrame, *, masks: Masks | None = None) -> int:
+        """Append a frame and return its number. masks: per instance and part, (H,W) bool of its visible pixels."""
+        frame, number = recorded.frame, len(self._frames)
+        self._check(recorded, masks)
+        name = f"{number:06d}"
+        write_color(self._partial / "rgb" / (name + self.color_suffix), frame.color)
+        write_depth(
+            self._partial / "depth" / f"{name}.png", frame.depth_m, metres_per_unit=self.depth_unit_mm * METRES_PER_MM
+        )
+        camera: dict[str, Any] = {"cam_K": frame.camera.K.ravel().tolist(), "depth_scale": self.depth_unit_mm}
+        if not np.array_equal(frame.camera.T_camera_world, np.eye(4)):
+            camera |= _pose_fields(frame.camera.T_camera_world, "cam_R_w2c", "cam_t_w2c")
+        gt: list[dict[str, Any]] = []
+        gt_info: list[dict[str, Any]] = []
+        instances = []
+        for i, instance in enumerate(recorded.instances):
+            parts: list[dict[str, Any]] = []
+            for k, truth in enumerate(instance.truths or ()):
+                mask = None if masks is None else np.asarray(masks[i][k], dtype=bool)
+                if mask is not None:
+                    (self._partial / "mask_visib").mkdir(exist_ok=True)
+                    write_mask(self._partial / "mask_visib" / f"{name}_{len(gt):06d}.png", mask)
+                parts.append({
+                    "gt": len(gt),
+                    "extents_m": truth.extents_m.tolist(),
+                    "joint_state": truth.joint_state,
+                })  # fmt: skip
+                gt.append(_pose_fields(truth.T_camera_part, "cam_R_m2c", "cam_t_m2c") | {"obj_id": k + 1})
+                gt_info.append(_visibility(mask, truth.visible_share))
+            instances.append({
+                "region": None if instance.region is None else [int(value) for value in instance.region],
+                "parts": parts if instance.truths else None,
+            })  # fmt: skip
+        key = str(number)
+        self._cameras[key], self._gt[key], self._gt_info[key] = camera, gt, gt_info
+        self._frames[key] = {
+            "timestamp_s": frame.timestamp_s,
+            "size_px": [frame.camera.width, frame.camera.height],
+            "instances": instances,
+        }
+        return number
+
+    def _check(self, recorded: RecordedFrame, masks: Masks | None) -> None:
+        camera = recorded.frame.camera
+        require_central(camera, where=f"{self.path}, frame {len(self._frames)}")
+        for instance in recorded.instances:
+            if instance.region is not None:
+                check_region(instance.region, camera.width, camera.height)
+            names = tuple(truth.name for truth in instance.truths or ())
+            if names and names != self.part_names:
+                raise ValueError(f"RecordingWriter: expected truths of the parts {self.part_names}, got {names}")
+        if masks is not None and [len(parts) for parts in masks] != [len(i.truths or ()) for i in recorded.instances]:
+            raise ValueError("RecordingWriter: expected one mask for every part of every instance")
+
+
+def _pose_fields(T_a_b: Array, rotation: str, translation: str) -> dict[str, Any]:
+    return {rotation: T_a_b[:3, :3].ravel().tolist(), translation: (T_a_b[:3, 3] / METRES_PER_MM).tolist()}
+
+
+def _visibility(mask: NDArray[np.bool_] | None, visible_share: float | None) -> dict[str, Any]:
+    info: dict[str, Any] = {}
+    if visible_share is not None:
+        info["visib_fract"] = float(visible_share)
+    if mask is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        info["px_count_visib"] = int(mask.sum())
+        info["bbox_visib"] = (
+            [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
+            if len(rows)
+            else [-1, -1, -1, -1]
+        )
+    return info
+
+
+def _one_frame_a_line(document: dict[str, Any]) -> str:
+    lines = []
+    for key, value in document.items():
+        text = _one_frame_a_line(value).rstrip("\n") if key == "frames" else json.dumps(value, allow_nan=False)
+        lines.append(f"{json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def read_recording(path: Path) -> Source:
+    """The recording in folder `path` as a source with truths; SourceError says what is wrong with it."""
+    document = read_object(path / RECORDING_FILE)
+    if document.get("version") != RECORDING_VERSION:
+        raise SourceError(
+            f"{path / RECORDING_FILE}: expected version {RECORDING_VERSION}, got {document.get('version')}; "
+            "read it with the release that wrote it"
+        )
+    where = str(path / RECORDING_FILE)
+    names = tuple(str(name) for name in listed(field(document, "parts", where=where), where=f"{where}, parts"))
+    frames = field(document, "frames", where=where)
+    scene = open_scene(path)
+    entries = tuple(
+        _entry(scene, key, field(frames, str(key), where=f"{where}, frames"), names) for key in scene.cameras
+    )
+    return require_playable(Source(path, FORMAT, entries, str(field(document, "category", where=where)), names))
+
+
+def _entry(scene: BopScene, key: int, facts: Any, names: tuple[str, ...]) -> FrameEntry:
+    where = f"{scene.path / RECORDING_FILE}, frame {key}"
+    size = numbers(field(facts, "size_px", where=where), 2, where=f"{where}, size_px")
+    timestamp_s = number(field(facts, "timestamp_s", where=where), where=f"{where}, timestamp_s")
+    instances = []
+    for instance in listed(field(facts, "instances", where=where), where=f"{where}, instances"):
+        box = field(instance, "region", where=where)
+        x, y, w, h = numbers(box, 4, where=f"{where}, region") if box is not None else (0.0,) * 4
+        region = None if box is None else (round(x), round(y), round(w), round(h))
+        parts = field(instance, "parts", where=where)
+        truths = None if parts is None else _truths(scene, key, listed(parts, where=f"{where}, parts"), names)
+        instances.append(Instance(region, truths))
+    entry = scene.entry(key, declared_size=(round(size[0]), round(size[1])))
+    return replace(entry, instances=tuple(instances), timestamp_s=timestamp_s)
+
+
+def _truths(scene: BopScene, key: int, parts: list[Any], names: tuple[str, ...]) -> tuple[PartTruth, ...]:
+    where = f"{scene.path}, frame {key}"
+    if len(parts) != len(names):
+        raise SourceError(f"{where}: expected the truth of {len(names)} parts, got {len(parts)}")
+    gt = listed(scene.gt.get(key, []), where=f"{where}, scene_gt.json")
+    info = listed(scene.gt_info.get(key, []), where=f"{where}, scene_gt_info.json")
+    truths = []
+    for name, part in zip(names, parts, strict=True):
+        k = field(part, "gt", where=where)
+        if not isinstance(k, int) or not 0 <= k < len(gt):
+            raise SourceError(f"{where}: part {name!r} is gt entry {k}, but scene_gt.json has {len(gt)} entries")
+        share = info[k].get("visib_fract") if k < len(info) and isinstance(info[k], dict) else None
+        try:
+            truths.append(PartTruth(
+                name=name,
+                T_camera_part=pose_of(gt[k], where=f"{where}, scene_gt.json"),
+                extents_m=np.array(numbers(field(part, "extents_m", where=where), 3, where=f"{where}, extents_m")),
+                visible_share=None if share is None else float(share),
+                joint_state=None if part.get("joint_state") is None else float(part["joint_state"]),
+            ))  # fmt: skip
+        except (TypeError, ValueError) as error:
+            raise SourceError(f"{where}: {error}") from error
+    return tuple(truths)
+
+
+def read_part_mask(path: Path, number: int, gt: int) -> NDArray[np.bool_]:
+    """(H,W) bool: visible pixels of gt entry `gt` of frame `number` of the recording in folder `path`."""
+    return read_mask(path / "mask_visib" / f"{number:06d}_{gt:06d}.png")
