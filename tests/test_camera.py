@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import invert, rotation_about, transform_from
@@ -18,7 +19,7 @@ def camera(**changes) -> Camera:
 def test_projection_equals_opencv() -> None:
     rng = np.random.default_rng(0)
     T = transform_from(rotation_about(rng.normal(size=3), 0.4), np.array([0.1, -0.2, 0.3]))
-    points_world = rng.uniform(-0.5, 0.5, (50, 3)) + [0, 0, 2]
+    points_world = rng.uniform(-0.5, 0.5, (50, 3)) + np.array([0, 0, 2])
     oracle, _ = cv2.projectPoints(points_world, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera().K, np.zeros(5))
     np.testing.assert_allclose(camera(T_camera_world=T).project(points_world), oracle[:, 0], atol=1e-9)
 
@@ -29,7 +30,7 @@ def test_backprojection_inverts_projection_through_any_crop_and_resize(seed: int
     rng = np.random.default_rng(seed)
     x, y = (int(v) for v in rng.integers(-100, 400, 2))
     seen = camera().cropped(x, y, 200, 160).resized(int(rng.integers(50, 500)), int(rng.integers(50, 500)))
-    points = rng.uniform(-0.5, 0.5, (20, 3)) + [0, 0, 1.5]
+    points = rng.uniform(-0.5, 0.5, (20, 3)) + np.array([0, 0, 1.5])
     pixels = seen.project(points)
     np.testing.assert_allclose(seen.backproject(pixels, points[:, 2]), points, atol=1e-9)
     world = transform_from(rotation_about(rng.normal(size=3), 1.0), rng.normal(size=3))

@@ -7,6 +7,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+
 from page_export.onnx_export import OPSET, RuntimeSignature, example_inputs, export_bundle, folded
 from page_export.parity import compare_on
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from page_runtime.geometry import apply, invert, require_rigid, rotation_about, rotation_angle, transform_from
 
 seeds = st.integers(0, 2**32 - 1)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.neighbours import LEVELS, find_neighbours, nearest

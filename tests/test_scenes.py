@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from page_runtime.geometry import apply, invert, rotation_about
 from page_training.scenes import CATEGORIES, SceneView, full_view, sample_scene, training_view
 from page_training.scenes.hinged import JOINT_AXIS

@@ -6,12 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
+from page_export.onnx_export import export_bundle
+from page_export.parity import Parity, compare_on
 from page_runtime.network import Network
 from page_training.categories import category_named
 from page_training.train import load_checkpoint, network_for
-
-from page_export.onnx_export import export_bundle
-from page_export.parity import Parity, compare_on
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,21 +9,15 @@ from typing import Any
 
 import onnx
 import torch
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
 from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_training.cache import IMAGE_SIZE
-from page_training.network import (
-    Convolution,
-    Dense,
-    FeaturePropagation,
-    NetworkInputs,
-    PageNetwork,
-    SetAbstraction,
-)
-from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
+from page_training.network import Convolution, NetworkInputs, PageNetwork
 
 OPSET = 18
 VOXEL_M = 0.005
@@ -42,61 +36,15 @@ class RuntimeSignature(nn.Module):
 
 
 def folded(network: PageNetwork) -> PageNetwork:
-    """A copy in evaluation mode with every batch norm folded into the linear or convolution layer before it.
-
-    onnxruntime does not fold a batch norm behind a reshape by itself (TRAINING 4).
-    """
+    """A copy in evaluation mode with every batch norm folded into its convolution."""
     network = copy.deepcopy(network).eval()
-    for module in list(network.modules()):
-        if isinstance(module, Dense) and isinstance(module.norm, nn.BatchNorm1d):
-            module.linear = fuse_linear_bn_eval(module.linear, module.norm)
-            module.norm = nn.Identity()
-        elif isinstance(module, Convolution):
+    for module in network.modules():
+        if isinstance(module, Convolution):
             convolution, norm = module[0], module[1]
             assert isinstance(convolution, nn.Conv2d)
             assert isinstance(norm, nn.BatchNorm2d)
             module[0], module[1] = fuse_conv_bn_eval(convolution, norm), nn.Identity()
-        elif isinstance(module, SetAbstraction) and isinstance(module.norm, nn.BatchNorm1d):
-            # The norm comes after the maximum over neighbours, which commutes with it where its slope is positive.
-            _fold_after_maximum(module)
-        elif isinstance(module, FeaturePropagation) and isinstance(module.norm, nn.BatchNorm1d):
-            _fold_sum(module)
     return network
-
-
-def _slope_and_offset(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
-    assert norm.running_mean is not None
-    assert norm.running_var is not None
-    slope = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-    return slope.detach(), (norm.bias - norm.running_mean * slope).detach()
-
-
-class Affine(nn.Module):
-    """x * slope + offset, what is left of a batch norm that cannot be folded away."""
-
-    def __init__(self, slope: Tensor, offset: Tensor) -> None:
-        super().__init__()
-        self.slope = nn.Parameter(slope, requires_grad=False)
-        self.offset = nn.Parameter(offset, requires_grad=False)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x * self.slope + self.offset
-
-
-def _fold_after_maximum(module: SetAbstraction) -> None:
-    assert isinstance(module.norm, nn.BatchNorm1d)
-    module.norm = Affine(*_slope_and_offset(module.norm))
-
-
-def _fold_sum(module: FeaturePropagation) -> None:
-    """Scaling both summands scales the sum; the offset goes into the one with a bias."""
-    assert isinstance(module.norm, nn.BatchNorm1d)
-    slope, offset = _slope_and_offset(module.norm)
-    with torch.no_grad():
-        module.from_coarse.weight.mul_(slope.unsqueeze(1))
-        module.from_fine.weight.mul_(slope.unsqueeze(1))
-        module.from_fine.bias.mul_(slope).add_(offset)
-    module.norm = nn.Identity()
 
 
 def example_inputs() -> tuple[Tensor, ...]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+
 from page_runtime.capture.playback import open_source
 from page_runtime.estimator import pose_from_output
 from page_runtime.evaluation import rotation_error, translation_error

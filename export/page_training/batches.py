@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from page_runtime.category import Category
 from torch import Tensor
 
+from page_runtime.category import Category
 from page_training.losses import Targets
 from page_training.network import NetworkInputs
 
@@ -139,6 +139,7 @@ def make_batch(
             radii=offset.norm(dim=-1) / unit,
             keypoints=dense_keypoints / unit,
             sides=(facing > 0).float(),
+            part_keypoints=keypoints / unit,
             extents_m=extents_m,
             diagonals=diagonals_m / unit,
         ),

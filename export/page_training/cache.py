@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, find_neighbours
 from page_runtime.sampling import RegionSample, sample_region
-
 from page_training.scenes import SceneView, sample_scene, training_view
 
 IMAGE_SIZE = 224

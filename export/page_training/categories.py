@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from page_runtime.category import Category, Joint, Part
 
+from page_runtime.category import Category, Joint, Part
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
 
 _HINGED_FRAME = (

@@ -7,6 +7,7 @@ on the surface or in the plate's plane double the rotation error, far ones dilut
 from __future__ import annotations
 
 import numpy as np
+
 from page_runtime.geometry import Array
 
 NUM_VOTED = 3

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from page_runtime.category import Category
 
+from page_runtime.category import Category
 from page_training.batches import Augmentation, Batch, make_batch
 from page_training.cache import open_shards
 from page_training.losses import page_loss

@@ -81,11 +81,11 @@ class Category:
         counts = {len(part.keypoints_unit) for part in self.parts}
         if len(counts) != 1 or not 3 <= self.num_voted <= min(counts):
             raise ValueError(
-                f"Category {self.name!r}: expected the same number of keypoints in every part and 3 <= num_voted <= it, "
+                f"Category {self.name!r}: expected as many keypoints in every part and 3 <= num_voted <= that, "
                 f"got {sorted(counts)} keypoints and num_voted {self.num_voted}"
             )
         for joint in self.joints:
-            if not (0 <= joint.parent < len(self.parts) and 0 <= joint.child < len(self.parts)):
+            if not {joint.parent, joint.child} <= set(range(len(self.parts))):
                 raise ValueError(f"Joint {joint.name!r}: {joint.parent} or {joint.child} is no part index")
 
     @property

@@ -59,7 +59,7 @@ class Network:
         document = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if document is None:
             raise BundleError(
-                f"bundle {self.path}: an ONNX model without {METADATA_KEY!r} in its metadata; export it with page-export"
+                f"bundle {self.path}: no {METADATA_KEY!r} in the metadata of this ONNX model; use page-export"
             )
         self.metadata = BundleMetadata.from_json(document)
         self._check_signature()

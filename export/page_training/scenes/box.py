@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from page_runtime.geometry import rotation_about, transform_from
 
+from page_runtime.geometry import rotation_about, transform_from
 from page_training.scenes.hinged import HingedObject, hinged_object
 from page_training.scenes.materials import Color, Material, plain, printed, random_color, scanned, vary
 from page_training.scenes.meshes import (

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from page_runtime.geometry import Array, rotation_about, transform_from
 
+from page_runtime.geometry import Array, rotation_about, transform_from
 from page_training.scenes.meshes import Mesh, joined, shifted
 
 JOINT_AXIS = (-1.0, 0.0, 0.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from page_runtime.geometry import rotation_about, transform_from
 
+from page_runtime.geometry import rotation_about, transform_from
 from page_training.scenes.hinged import HingedObject, hinged_object
 from page_training.scenes.materials import (
     Color,

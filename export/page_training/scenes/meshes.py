@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from page_runtime.geometry import Array
 
+from page_runtime.geometry import Array
 from page_training.scenes.materials import Material
 from page_training.scenes.textures import Generator
 

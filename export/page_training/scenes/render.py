@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
 from page_runtime.camera import Camera
 from page_runtime.geometry import invert
-
 from page_training.scenes.meshes import Mesh, joined
 from page_training.scenes.textures import PATTERN_SIZE, pattern_bank
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, rotation_about, transform_from
-
 from page_training.scenes import box, laptop
 from page_training.scenes.hinged import HingedObject
 from page_training.scenes.meshes import Mesh, moved

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from page_runtime.geometry import Array, rotation_about, transform_from
 
+from page_runtime.geometry import Array, rotation_about, transform_from
 from page_training.scenes.materials import Material, hsv_color, patterned, plain, printed, random_color
 from page_training.scenes.meshes import (
     Mesh,

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array
-
 from page_training.scenes.photo import develop
 from page_training.scenes.render import render
 from page_training.scenes.scene import Scene, square_camera
