@@ -12,7 +12,7 @@ from page_training.cache import make_shard, open_shards, record_type, shard_path
 from page_training.categories import CATEGORIES, category_named
 from page_training.losses import MIN_PART_POINTS, page_loss, part_weights
 from page_training.network import GeometryGuidedFuser, NetworkOutputs, gather_rows, group_maximum, sample_bilinear
-from page_training.train import TrainingConfig, load_checkpoint, network_for, train
+from page_training.train import TrainingConfig, keep_weights, load_checkpoint, network_for, train
 
 BOX = CATEGORIES["box"]
 
@@ -153,6 +153,24 @@ def test_an_interrupted_run_ends_where_an_uninterrupted_one_does(cache: Path, tm
     assert parts["step"] == whole["step"] == 4
     for name, value in whole["average"].items():
         torch.testing.assert_close(parts["average"][name], value, rtol=1e-4, atol=1e-5)
+
+
+def test_kept_weights_start_a_run_and_a_wrong_file_is_refused(cache: Path, tmp_path: Path) -> None:
+    config = TrainingConfig("box", samples=4, batch_size=4, dense_points=64, learning_rate=0.0)
+    first = train(config, BOX, cache, tmp_path / "first", lambda _: None)
+    keep_weights(first, tmp_path / "kept.pt")
+    assert (tmp_path / "kept.pt").stat().st_size < 0.4 * first.stat().st_size
+    started = replace(config, start_from=str(tmp_path / "kept.pt"), seed=9)
+    again = load_checkpoint(train(started, BOX, cache, tmp_path / "again", lambda _: None))
+    kept = load_checkpoint(tmp_path / "kept.pt")
+    assert again["samples"] == 8
+    for name, parameter in network_for(BOX).named_parameters():
+        torch.testing.assert_close(again["average"][name], kept["average"][name], msg=f"{name} {parameter.shape}")
+    with pytest.raises(ValueError, match="'laptop', got 'box'"):
+        load_checkpoint(tmp_path / "kept.pt", "laptop")
+    (tmp_path / "cut.pt").write_bytes((tmp_path / "kept.pt").read_bytes()[:5000])
+    with pytest.raises(ValueError, match="cannot read"):
+        load_checkpoint(tmp_path / "cut.pt")
 
 
 def test_training_without_frames_says_how_to_make_them(tmp_path: Path) -> None:

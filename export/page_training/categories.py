@@ -11,7 +11,9 @@ _HINGED_FRAME = (
     "origin: centre of the part's box; +x: along the hinge, to the right of a user in front of the opening; "
     "+y: from the opening edge towards the hinge; +z: {up}"
 )
-_OPENING = Joint(name="hinge", parent=0, child=1, kind="revolute", axis=(-1.0, 0.0, 0.0), limits=(0.0, float(np.pi)))
+_OPENING = Joint(
+    name="hinge", parent=0, child=1, kind="revolute", axis=(-1.0, 0.0, 0.0), limits=(0.0, float(np.radians(200.0)))
+)
 
 
 def _hinged(

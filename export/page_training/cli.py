@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from page_training.cache import SHARD_SIZE, SPLITS, make_shards
 from page_training.categories import CATEGORIES, category_named
-from page_training.train import Report, TrainingConfig, train
+from page_training.train import Report, TrainingConfig, keep_weights, train
 
 DEFAULT_CACHE = Path("export/cache")
 DEFAULT_RUNS = Path("export/checkpoints")
@@ -56,6 +56,12 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument("--seed", type=int, default=defaults.seed)
     pose.add_argument("--cache", type=Path, default=DEFAULT_CACHE)
     pose.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
+    pose.add_argument(
+        "--from", type=Path, dest="start_from", help="begin a new run with the network of this checkpoint"
+    )
+    keep = command("keep", _keep, "keep the averaged network of a run: small enough to commit")
+    keep.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
+    keep.add_argument("--out", type=Path, required=True, help="a .pt file")
     preview = command("preview", _preview, "write a contact sheet of scenes: colour, depth, part axes")
     preview.add_argument("--out", type=Path, required=True, help="a .png file")
     preview.add_argument("--rows", type=int, default=4)
@@ -109,6 +115,7 @@ def _pose(options: argparse.Namespace) -> None:
         learning_rate=options.learning_rate,
         threads=options.threads,
         seed=options.seed,
+        start_from=None if options.start_from is None else str(options.start_from),
     )
     run = options.run or DEFAULT_RUNS / options.category
     with _progress() as progress:
@@ -124,6 +131,11 @@ def _pose(options: argparse.Namespace) -> None:
 
         checkpoint = train(config, category_named(options.category), options.cache, run, report)
     print(checkpoint)
+
+
+def _keep(options: argparse.Namespace) -> None:
+    keep_weights((options.run or DEFAULT_RUNS / options.category) / "checkpoint.pt", options.out)
+    print(options.out)
 
 
 def _preview(options: argparse.Namespace) -> None:

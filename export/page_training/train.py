@@ -7,6 +7,7 @@ import ctypes
 import ctypes.util
 import json
 import math
+import pickle
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -29,7 +30,11 @@ M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
 
 @dataclass(frozen=True, slots=True)
 class TrainingConfig:
-    """Everything a run depends on besides the cached frames. samples: frames seen in all, repeats included."""
+    """Everything a run depends on besides the cached frames.
+
+    samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
+    run begins with, instead of random weights.
+    """
 
     category: str
     samples: int = 100_000
@@ -40,6 +45,7 @@ class TrainingConfig:
     warmup_share: float = 0.02
     gradient_clip: float = 5.0
     average_decay: float = 0.999
+    start_from: str | None = None
     seed: int = 1
     threads: int = 1
     validate_every: int = 500
@@ -141,9 +147,27 @@ def save_checkpoint(path: Path, **state: Any) -> None:
     path.with_suffix(".partial").rename(path)
 
 
-def load_checkpoint(path: Path) -> dict[str, Any]:
-    """A checkpoint written by `train`; weights only, so a foreign file cannot run code."""
-    return torch.load(path, map_location="cpu", weights_only=True)
+def load_checkpoint(path: Path, category: str | None = None) -> dict[str, Any]:
+    """A checkpoint written by `train`, or weights kept of one, of `category` if given.
+
+    Weights only, so a foreign file cannot run code. ValueError says what is wrong with the file.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
+        raise ValueError(f"checkpoint {path}: torch cannot read it ({str(error).splitlines()[0]})") from error
+    missing = {"average", "category", "step", "samples"} - (state.keys() if isinstance(state, dict) else set())
+    if missing:
+        raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
+    if category is not None and state["category"] != category:
+        raise ValueError(f"checkpoint {path}: expected category {category!r}, got {state['category']!r}")
+    return state
+
+
+def keep_weights(checkpoint: Path, path: Path) -> None:
+    """Of a checkpoint keep what a later run or an export needs: the averaged network, a fifth of the size."""
+    state = load_checkpoint(checkpoint)
+    save_checkpoint(path, **{name: state[name] for name in ("average", "category", "step", "samples")})
 
 
 def train(
@@ -159,6 +183,11 @@ def train(
     torch.manual_seed(config.seed)
     network = network_for(category)
     network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+    earlier_samples = 0
+    if config.start_from is not None:
+        start = load_checkpoint(Path(config.start_from), category.name)
+        network.load_state_dict(start["average"])
+        earlier_samples = start["samples"]
     average = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
     steps = math.ceil(config.samples / config.batch_size)
@@ -167,7 +196,7 @@ def train(
     run.mkdir(parents=True, exist_ok=True)
     (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
     if checkpoint.exists():
-        state = load_checkpoint(checkpoint)
+        state = load_checkpoint(checkpoint, category.name)
         network.load_state_dict(state["network"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
@@ -206,7 +235,7 @@ def train(
                 average=average.state_dict(),
                 optimizer=optimizer.state_dict(),
                 step=done,
-                samples=done * config.batch_size,
+                samples=earlier_samples + done * config.batch_size,
                 category=category.name,
             )
             on_report(report)
