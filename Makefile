@@ -20,6 +20,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/pip
 	touch $@ $(VENV)/.runtime
 
 demo: $(VENV)/.runtime
+	@mkdir -p $(OUT)
 	@for category in laptop box; do \
 		echo; echo "== $$category =="; \
 		$(BIN)/page-runtime run tests/data/$$category --bundle runtime/bundles/$$category.onnx \
@@ -40,6 +41,7 @@ lint: $(VENV)/.dev
 	$(BIN)/pyright
 
 bench: $(VENV)/.dev
+	@mkdir -p benchmarks/results
 	$(BIN)/page-runtime bench tests/data/laptop --bundle runtime/bundles/laptop.onnx --json benchmarks/results/latency-laptop.json
 
 clean:

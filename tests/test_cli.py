@@ -17,9 +17,12 @@ import onnx
 import pytest
 
 import toy
+from page_runtime import open_source
+from page_runtime.bench import time_estimates
 from page_runtime.bundle import METADATA_KEY
 from page_runtime.cli import main
 from page_runtime.image_files import write_color
+from page_runtime.network import Network
 from page_runtime.recorded import Instance, RecordedFrame
 from page_runtime.recording import RecordingWriter
 
@@ -82,6 +85,32 @@ def test_a_region_given_takes_the_place_of_the_sources_own(
     assert all(part["reason"] is not None for part in line["parts"])
 
 
+def test_a_region_may_begin_with_a_minus_sign(toy_recording: Path, oracle_bundle: Path, tmp_path: Path) -> None:
+    lines = run_lines(toy_recording, oracle_bundle, tmp_path / "o.jsonl", "--region=-5,0,330,240")
+    assert [line["parts"][0]["reason"] is None for line in lines] == [True, False, True]
+
+
+def test_pictures_go_into_a_folder_there_is_without_leaving_its_file_system(
+    toy_recording: Path, oracle_bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "mount point"
+    folder.mkdir()
+    (folder / "kept.txt").touch()
+    moved = []
+    replace = Path.replace
+
+    def replace_on_one_file_system(self: Path, target: Path) -> Path:
+        if folder in target.parents:
+            assert folder in self.parents, "files cannot be moved from one file system to another"
+            moved.append(target.name)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace_on_one_file_system)
+    run_lines(toy_recording, oracle_bundle, tmp_path / "o.jsonl", "--overlay", str(folder))
+    assert moved == ["000000.jpg", "000001.jpg", "000002.jpg"]
+    assert sorted(path.name for path in folder.iterdir()) == [*moved, "kept.txt"]
+
+
 def test_run_writes_to_standard_output_when_no_file_is_named(
     toy_recording: Path, oracle_bundle: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,8 +154,23 @@ def test_bench_reports_every_stage_beside_the_papers(
     assert document["peak_rss_mb"] > 10
     assert {"python", "numpy", "onnxruntime"} <= set(document["versions"])
     # A third of the frames is blind; they are no measurements.
+    assert document["measurements"] >= 100
     assert document["left_out"] * 2 == document["measurements"]
     assert re.search(r"total +[\d.]+ +[\d.]+ +[\d.]+ +160", capsys.readouterr().out)
+
+
+def test_bench_warms_up_on_frames_that_reach_the_network_and_counts_no_others(
+    oracle_bundle: Path, tmp_path: Path
+) -> None:
+    source = open_source(toy.write_toy_recording(tmp_path / "r", frames=4, blind=(0, 1, 2)))
+    totals: list[int] = []
+    network = Network(oracle_bundle, threads=1)
+    timings, left_out = time_estimates(network, source, min_measurements=3, on_frame=totals.append)
+    assert (len(timings), left_out) == (3, 9)
+    assert all(timing.stage_ms["registration"] > 0 for timing in timings)
+    assert totals == [4] * 4 + [12] * 8
+    blind = open_source(toy.write_toy_recording(tmp_path / "b", frames=2, blind=(0, 1)))
+    assert time_estimates(network, blind) == ([], 2)
 
 
 def test_inspect_says_all_the_metadata_in_words_and_as_json(
@@ -346,10 +390,10 @@ BROKEN_BUNDLES: dict[str, tuple[Callable[[Path, Path], Any], str]] = {
     "text": (lambda path, _: path.write_text("weights"), "onnxruntime cannot load it"),
     "truncated": (lambda path, good: path.write_bytes(good.read_bytes()[:-200]), "bundle .*broken.onnx"),
     "half": (lambda path, good: path.write_bytes(good.read_bytes()[: good.stat().st_size // 2]), "bundle .*broken"),
-    "a model of something else": (model_without_metadata, "without 'page.bundle' in its metadata"),
-    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), "expected version 1, got 99"),
-    "lacking a field": (model_with_metadata(lambda d: d.pop("voxel_m")), r"missing \['voxel_m'\]"),
-    "of other shapes": (model_with_metadata(lambda d: d.update(image_size=128)), "by its metadata"),
+    "a model of something else": (model_without_metadata, "no 'page.bundle' in the metadata"),
+    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 1, got 99"),
+    "lacking a field": (model_with_metadata(lambda d: d.pop("voxel_m")), r"broken\.onnx: .*missing \['voxel_m'\]"),
+    "of other shapes": (model_with_metadata(lambda d: d.update(image_size=128)), "image .* 128, 128] by .*got .*224"),
 }  # fmt: skip
 
 
@@ -394,6 +438,10 @@ BAD_CALLS: dict[str, tuple[list[str], str]] = {
     "an output that is a folder": (["run", "R", "--bundle", "B", "--out", "{}/empty"], "got the folder"),
     "pictures into a file": (["run", "R", "--bundle", "B", "--overlay", "{}/file"], "got the file"),
     "pictures in no folder": (["run", "R", "--bundle", "B", "--overlay", "{}/nowhere/o"], "no folder"),
+    "an output that is a device": (["run", "R", "--bundle", "B", "--out", "/dev/null"], "expected the name of a file"),
+    "an output in a folder that takes none": (["run", "R", "--bundle", "B", "--out", "/proc/o"], "cannot write into"),
+    "pictures in a folder that takes none": (["run", "R", "--bundle", "B", "--overlay", "/proc"], "cannot write into"),
+    "figures in a folder that takes none": (["bench", "R", "--bundle", "B", "--json", "/proc/o"], "cannot write into"),
     "figures in no folder": (["bench", "R", "--bundle", "B", "--json", "{}/nowhere/o"], "no folder"),
 }  # fmt: skip
 

@@ -11,10 +11,10 @@ import pytest
 import toy
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
-from page_runtime.geometry import rotation_about, transform_from
+from page_runtime.geometry import apply, invert, rotation_about, transform_from
 from page_runtime.image_files import read_mask
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
-from page_runtime.recording import RecordingWriter, read_part_mask, read_recording
+from page_runtime.recording import RecordingWriter, read_recording
 
 NAMES = ("base", "lid")
 
@@ -88,12 +88,19 @@ def test_documents_and_masks_are_as_bop_defines_them(toy_recording: Path) -> Non
         assert gt[k]["obj_id"] == k + 1
         mask = read_mask(toy_recording / "mask_visib" / f"000000_{k:06d}.png")
         np.testing.assert_array_equal(mask, masks[k])
-        np.testing.assert_array_equal(read_part_mask(toy_recording, 0, k), masks[k])
         x, y, w, h = info[k]["bbox_visib"]
         assert mask[y : y + h, x : x + w].sum() == mask.sum() == info[k]["px_count_visib"]
         assert 0 < info[k]["visib_fract"] <= 1
-    # Depth in its unit, back-projected inside a mask, lies on the part: poses, K, depth and mask agree.
     assert camera["depth_scale"] == 0.1
+    # Depth in its unit, back-projected inside a mask, lies on the part: poses, K, depth and mask agree.
+    frame = read_recording(toy_recording).entries[0].read().frame
+    for k, (truth, mask) in enumerate(zip(truths, masks, strict=True)):
+        rows, columns = np.nonzero(read_mask(toy_recording / "mask_visib" / f"000000_{k:06d}.png"))
+        assert len(rows) == mask.sum() > 100
+        pixels = np.stack([columns, rows], axis=-1).astype(float)
+        points_camera = frame.camera.backproject(pixels, frame.depth_m[rows, columns])
+        beyond = (np.abs(apply(invert(truth.T_camera_part), points_camera)) - truth.extents_m / 2).max(axis=1)
+        assert np.abs(beyond).max() < 1e-4  # depth is stored to 0.1 mm
 
 
 def test_a_recording_never_overwrites(tmp_path: Path) -> None:

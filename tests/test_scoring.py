@@ -1,5 +1,7 @@
 """Laws of proposal integration scoring: it is the dense accumulator, only sooner."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -74,6 +76,22 @@ def test_radii_on_the_very_edge_of_a_vote_are_counted_as_the_dense_accumulator_c
         dense = dense_votes(points, radii, voxel_m)
         assert (votes.max_votes, votes.gap) == (dense.max_votes, 0)
         np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
+
+
+def test_the_one_sided_rule_would_place_a_keypoint_nearer_to_the_part() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        points = rng.uniform(-0.1, 0.1, (120, 3))
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        radii, voxel_m = np.linalg.norm(points - 0.2 * direction, axis=1), 0.02
+        two_sided, one_sided = (
+            dense_votes(points, radii, voxel_m, rule=rule).ties_camera @ direction - 0.2
+            for rule in ("two-sided", "one-sided")
+        )
+        # Towards the part is negative. The mean is over all voxels with the most votes.
+        assert abs(two_sided.mean()) < 0.25 * voxel_m
+        assert one_sided.mean() < -0.5 * voxel_m
 
 
 @pytest.mark.parametrize("rival_share", [0.95, 0.7])
@@ -168,12 +186,18 @@ def test_peaks_are_sorted_and_apart() -> None:
     rng = np.random.default_rng(0)
     extents_m = plate_extents_m(rng)
     part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.01)
-    for votes in score_keypoints(part.points_camera, part.radii_m):
+    voxel_m = 0.005
+    for votes in score_keypoints(part.points_camera, part.radii_m, voxel_m=voxel_m):
         counts = [peak.votes for peak in votes.peaks]
         assert counts == sorted(counts, reverse=True)
         assert counts[0] == votes.max_votes
         assert counts[-1] >= 0.95 * votes.max_votes
         assert votes.ties == len(votes.ties_camera) >= 1
+        apart_m = [
+            np.linalg.norm(one.position_camera - other.position_camera) for one, other in combinations(votes.peaks, 2)
+        ]
+        assert len(apart_m) > 0
+        assert min(apart_m) > 2.0 * np.sqrt(3.0) * voxel_m
 
 
 def test_moving_the_part_moves_the_keypoints() -> None:

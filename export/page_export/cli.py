@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
-from page_export.onnx_export import export_bundle
-from page_export.parity import Parity, compare_on
-from page_runtime.network import Network
-from page_training.categories import category_named
-from page_training.train import load_checkpoint, network_for
+if TYPE_CHECKING:
+    from page_export.parity import Parity
+
+# Above these a bundle is another network than its checkpoint (float32 reordering gives a tenth of them).
+MAX_OUTPUT_DIFFERENCE = 1e-3
+MAX_ROTATION_DEG = 0.1
+MAX_TRANSLATION_MM = 0.5
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,7 +27,13 @@ def main(arguments: list[str] | None = None) -> int:
     onnx = commands.add_parser("onnx", help="export a checkpoint and compare it with the bundle written")
     onnx.add_argument("checkpoint", type=Path)
     onnx.add_argument("-o", "--output", type=Path, required=True, help="the .onnx bundle to write")
-    onnx.add_argument("--compare-on", type=Path, metavar="RECORDING", help="also report parity on this recording")
+    onnx.add_argument(
+        "--compare-on",
+        type=Path,
+        metavar="RECORDING",
+        required=True,
+        help="regions to compare bundle and checkpoint on; nothing is written when they differ",
+    )
     onnx.add_argument("--note", default="", help="a line for the bundle's provenance")
     onnx.set_defaults(run_command=_onnx)
     verify = commands.add_parser("verify", help="compare a bundle with its checkpoint on a recording")
@@ -31,15 +44,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         return options.run_command(options)
-    except (ValueError, OSError, KeyError, RuntimeError) as error:
+    except ImportError as error:
+        print(f"page-export: {error}; export needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
+        return 2
+    except (ValueError, OSError) as error:
         print(f"page-export: {error}", file=sys.stderr)
         return 2
-
-
-# Above these a bundle is another network than its checkpoint (float32 reordering gives a tenth of them).
-MAX_OUTPUT_DIFFERENCE = 1e-3
-MAX_ROTATION_DEG = 0.1
-MAX_TRANSLATION_MM = 0.5
 
 
 def _report(parity: Parity) -> int:
@@ -57,30 +67,60 @@ def _report(parity: Parity) -> int:
     return 0 if same else 1
 
 
-def _onnx(options: argparse.Namespace) -> int:
-    state = load_checkpoint(options.checkpoint)
-    category = category_named(state["category"])
+def _commit() -> str:
+    """The commit exported from, "-dirty" with changes, or why it is not known."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True, timeout=10
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown: not exported from a git work tree"
+    return described.stdout.strip()
+
+
+def _trained(path: Path) -> tuple[dict[str, Any], Any, Any]:
+    """(checkpoint, category, averaged network) of a checkpoint file."""
+    from page_training.checkpoint import load_checkpoint, trained_category
+    from page_training.network import network_for
+
+    state = load_checkpoint(path)
+    category = trained_category(state)
     network = network_for(category)
     network.load_state_dict(state["average"])
-    provenance = {
-        "recipe": "page-train scenes, page-train pose, page-export onnx; procedural scenes only",
-        "steps": state["step"],
-        "samples": state["samples"],
+    return state, category, network
+
+
+def _onnx(options: argparse.Namespace) -> int:
+    from page_export.onnx_export import graph_of, write_bundle
+    from page_export.parity import compare_on
+    from page_runtime.network import Network
+
+    state, category, network = _trained(options.checkpoint)
+    provenance: dict[str, Any] = {
+        "trained_on": "procedural scenes only",
+        "commit": _commit(),
+        "frames_seen": state["samples"],
+        "training": json.loads(state["config"]),
         "note": options.note,
     }
-    export_bundle(network, category, options.output, provenance)
-    print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
-    if options.compare_on is None:
-        return 0
-    return _report(compare_on(Network(options.output), network, options.compare_on))
+    model = graph_of(network)
+    with TemporaryDirectory() as folder:
+        trial = Path(folder) / "trial.onnx"
+        write_bundle(model, category, trial, provenance)
+        parity = compare_on(Network(trial), network, options.compare_on)
+    code = _report(parity)
+    if code == 0:
+        write_bundle(model, category, options.output, provenance | {"parity": asdict(parity)})
+        print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
+    return code
 
 
 def _verify(options: argparse.Namespace) -> int:
-    state = load_checkpoint(options.against)
-    bundle = Network(options.bundle)
-    network = network_for(category_named(state["category"]))
-    network.load_state_dict(state["average"])
-    return _report(compare_on(bundle, network, options.data))
+    from page_export.parity import compare_on
+    from page_runtime.network import Network
+
+    _, _, network = _trained(options.against)
+    return _report(compare_on(Network(options.bundle), network, options.data))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
-from page_training.cache import IMAGE_SIZE
 from page_training.network import Convolution, NetworkInputs, PageNetwork
+from page_training.records import IMAGE_SIZE
 
 OPSET = 18
 VOXEL_M = 0.005
@@ -65,16 +65,8 @@ def example_inputs() -> tuple[Tensor, ...]:
     return image, points, pixels, *groups, *ups
 
 
-def export_bundle(network: PageNetwork, category: Category, path: Path, provenance: dict[str, Any]) -> BundleMetadata:
-    """Write the bundle whole or not at all; returns the metadata inside it."""
-    metadata = BundleMetadata(
-        category=category,
-        num_points=LEVELS[0],
-        image_size=IMAGE_SIZE,
-        voxel_m=VOXEL_M,
-        opset=OPSET,
-        provenance=provenance,
-    )
+def graph_of(network: PageNetwork) -> onnx.ModelProto:
+    """The network as a checked ONNX model of standard operators, without metadata."""
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with torch.no_grad():
         program = torch.onnx.export(
@@ -91,16 +83,32 @@ def export_bundle(network: PageNetwork, category: Category, path: Path, provenan
     foreign = {node.domain for node in model.graph.node} - {""}
     if foreign:
         raise ValueError(f"export: expected standard operators only, got domains {sorted(foreign)}")
+    # The exporter notes Python stack traces everywhere: half the file, and paths of this machine.
     del model.metadata_props[:]
+    del model.graph.metadata_props[:]
+    for value in (*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer):
+        del value.metadata_props[:]
     for node in model.graph.node:
-        # The exporter notes Python stack traces on every node: half the file, and paths of this machine.
         del node.metadata_props[:]
         node.doc_string = ""
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def write_bundle(model: onnx.ModelProto, category: Category, path: Path, provenance: dict[str, Any]) -> None:
+    """Write model and metadata as one file, whole or not at all."""
+    metadata = BundleMetadata(
+        category=category,
+        num_points=LEVELS[0],
+        image_size=IMAGE_SIZE,
+        voxel_m=VOXEL_M,
+        opset=OPSET,
+        provenance=provenance,
+    )
+    del model.metadata_props[:]
     entry = model.metadata_props.add()
     entry.key, entry.value = METADATA_KEY, metadata.to_json()
-    onnx.checker.check_model(model, full_check=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
     partial.write_bytes(model.SerializeToString())
     partial.rename(path)
-    return metadata

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 
 from page_runtime.capture.playback import open_source
-from page_runtime.estimator import pose_from_output
+from page_runtime.estimator import pose_from_output, sample_for
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.neighbours import Neighbours, find_neighbours
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network, NetworkOutput
 from page_runtime.pose import PartPose
 from page_runtime.recorded import Source
-from page_runtime.sampling import RegionSample, sample_region
+from page_runtime.sampling import RegionSample
 from page_training.network import NetworkInputs, PageNetwork
 
 
@@ -51,13 +51,7 @@ def compare(bundle: Network, network: PageNetwork, source: Source, limit: int = 
             break
         if region is None:
             continue
-        sample = sample_region(
-            frame,
-            region,
-            image_size=metadata.image_size,
-            num_points=metadata.num_points,
-            radius_m=metadata.category.region_radius_m,
-        )
+        sample = sample_for(metadata, frame, region)
         if isinstance(sample, str):
             continue
         samples += 1

@@ -11,30 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from page_runtime.category import Category
+from page_training.config import Augmentation
 from page_training.losses import Targets
 from page_training.network import NetworkInputs
-
-NEIGHBOUR_TABLES = ("group1", "group2", "group3", "up1", "up2", "up3")
-
-
-@dataclass(frozen=True, slots=True)
-class Augmentation:
-    """How far a sample is changed. The probabilities and sigmas were set once by eye, not tuned.
-
-    scale_sigma: of the object's size (its distance follows, so the picture stays right). turn_sigma_rad: of a small
-    rotation of the points alone. colour: gains and offsets of the picture.
-    """
-
-    flip_probability: float = 0.5
-    scale_sigma: float = 0.08
-    turn_sigma_rad: float = 0.12
-    gain_sigma: float = 0.25
-    tint_sigma: float = 0.12
-    offset_sigma: float = 0.08
-    noise_sigma: float = 0.03
-    shuffle_probability: float = 0.15
-    gray_probability: float = 0.15
-    blank_probability: float = 0.05
+from page_training.records import NEIGHBOUR_TABLES
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
-"""Training samples on disk: shards of fixed-size records, written once, read at random through a memory map.
+"""Making training samples: scenes rendered, sampled as the runtime samples, written to shards.
 
 Making a frame costs about as much as learning from it once, so frames are made ahead and used a few times. A shard
-depends on nothing but (category, split, shard number): any process may make any of them, in any order, and an
-interrupted run goes on with the shards that are missing. The bound on disk is the number of shards asked for.
+depends on (SCENES_VERSION, category, split, shard number) alone: any process may make any of them, in any order, and
+an interrupted run goes on with the shards that are missing. The bound on disk is the number of shards asked for.
 """
 
 from __future__ import annotations
@@ -14,36 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from page_runtime.category import Category
-from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, find_neighbours
+from page_runtime.neighbours import LEVELS, find_neighbours
 from page_runtime.sampling import RegionSample, sample_region
+from page_training.records import IMAGE_SIZE, NEIGHBOUR_TABLES, SHARD_SIZE, SPLITS, record_type, shard_path
 from page_training.scenes import SceneView, sample_scene, training_view
-
-IMAGE_SIZE = 224
-SHARD_SIZE = 256
-SPLITS = ("train", "validation", "test")
-
-
-def record_type(num_parts: int) -> np.dtype[Any]:
-    """One sample. Points are centred, metres; labels num_parts = background; T_center_part in the centred frame."""
-    return np.dtype([
-        ("image", np.uint8, (IMAGE_SIZE, IMAGE_SIZE, 3)),
-        ("points", np.float32, (LEVELS[0], 3)),
-        ("pixels", np.float32, (LEVELS[0], 2)),
-        ("normals", np.int8, (LEVELS[0], 3)),
-        ("labels", np.uint8, (LEVELS[0],)),
-        ("group1", np.int16, (LEVELS[1], GROUP_SIZE)),
-        ("group2", np.int16, (LEVELS[2], GROUP_SIZE)),
-        ("group3", np.int16, (LEVELS[3], GROUP_SIZE)),
-        ("up1", np.int16, (LEVELS[0], INTERPOLATION_SIZE)),
-        ("up2", np.int16, (LEVELS[1], INTERPOLATION_SIZE)),
-        ("up3", np.int16, (LEVELS[2], INTERPOLATION_SIZE)),
-        ("T_center_part", np.float32, (num_parts, 4, 4)),
-        ("extents_m", np.float32, (num_parts, 3)),
-        ("visible_share", np.float32, (num_parts,)),
-    ])  # fmt: skip
 
 
 def shard_generator(category: str, split: str, shard: int) -> np.random.Generator:
@@ -61,7 +37,7 @@ def fill_record(record: Any, view: SceneView, sample: RegionSample, num_parts: i
     record["normals"] = np.round(view.normals_camera.reshape(-1, 3)[index] * 127)
     record["labels"] = np.where(label < 0, num_parts, label)
     neighbours = find_neighbours(record["points"])
-    for name in ("group1", "group2", "group3", "up1", "up2", "up3"):
+    for name in NEIGHBOUR_TABLES:
         record[name] = getattr(neighbours, name)
     for k, truth in enumerate(view.truths):
         record["T_center_part"][k] = truth.T_camera_part
@@ -96,11 +72,6 @@ def make_shard(category: Category, split: str, shard: int, path: Path, size: int
     partial.rename(path)
 
 
-def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
-    """Where a shard lives under the cache folder."""
-    return root / category / f"{split}-{shard:04d}.npy"
-
-
 def make_shards(
     category: Category,
     split: str,
@@ -114,8 +85,3 @@ def make_shards(
         if not path.exists():
             make_shard(category, split, shard, path)
         on_shard(path)
-
-
-def open_shards(root: Path, category: str, split: str) -> list[NDArray[Any]]:
-    """Memory maps of all shards there are at the moment, in order."""
-    return [np.load(path, mmap_mode="r") for path in sorted((root / category).glob(f"{split}-*.npy"))]

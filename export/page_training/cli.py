@@ -5,14 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from page_training.cache import SHARD_SIZE, SPLITS, make_shards
 from page_training.categories import CATEGORIES, category_named
-from page_training.train import Report, TrainingConfig, keep_weights, train
+from page_training.config import TrainingConfig
+from page_training.records import SHARD_SIZE, SPLITS
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from page_training.train import Report
 
 DEFAULT_CACHE = Path("export/cache")
 DEFAULT_RUNS = Path("export/checkpoints")
@@ -24,6 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         options.run_command(options)
+    except ImportError as error:
+        print(f"page-train: {error}; training needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
+        return 2
     except (ValueError, OSError) as error:
         print(f"page-train: {error}", file=sys.stderr)
         return 2
@@ -78,6 +85,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _progress() -> Progress:
     """A bar on a terminal; elsewhere rich prints nothing and the commands print lines of their own."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -94,6 +104,8 @@ def _say(line: str) -> None:
 
 
 def _scenes(options: argparse.Namespace) -> None:
+    from page_training.cache import make_shards
+
     category = category_named(options.category)
     with _progress() as progress:
         for split, frames in (("validation", options.validation_frames), ("train", options.frames)):
@@ -108,6 +120,8 @@ def _scenes(options: argparse.Namespace) -> None:
 
 
 def _pose(options: argparse.Namespace) -> None:
+    from page_training.train import train
+
     config = TrainingConfig(
         category=options.category,
         samples=options.samples,
@@ -134,6 +148,8 @@ def _pose(options: argparse.Namespace) -> None:
 
 
 def _keep(options: argparse.Namespace) -> None:
+    from page_training.checkpoint import keep_weights
+
     keep_weights((options.run or DEFAULT_RUNS / options.category) / "checkpoint.pt", options.out)
     print(options.out)
 

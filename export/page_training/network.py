@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from page_runtime.category import Category
 from page_runtime.neighbours import LEVELS
 
 # Spread of an object's points in region radii: positions enter beside normalised features as large as those.
@@ -298,3 +299,8 @@ class PageNetwork(nn.Module):
         share = share / (share.sum(dim=1, keepdim=True) + 1e-3)
         described = self.part_vector[0](torch.cat([features, points / POSITION_SCALE], dim=-1))
         return self.part_vector[1](share.transpose(1, 2) @ described)
+
+
+def network_for(category: Category) -> PageNetwork:
+    """An untrained network of the category's shape."""
+    return PageNetwork(len(category.parts), category.num_keypoints, category.num_voted)

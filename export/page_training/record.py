@@ -13,8 +13,8 @@ import numpy as np
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
 from page_runtime.recording import RecordingWriter
 from page_runtime.sampling import Region
-from page_training.cache import SPLITS
 from page_training.categories import category_named
+from page_training.records import SPLITS
 from page_training.scenes import SceneView, full_view, sample_scene
 
 BOX_JITTER = 0.05

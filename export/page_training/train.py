@@ -7,11 +7,10 @@ import ctypes
 import ctypes.util
 import json
 import math
-import pickle
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,38 +18,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from page_runtime.bundle import category_document
 from page_runtime.category import Category
-from page_training.batches import Augmentation, Batch, make_batch
-from page_training.cache import open_shards
+from page_training.batches import Batch, make_batch
+from page_training.checkpoint import load_checkpoint, save_checkpoint
+from page_training.config import TrainingConfig
 from page_training.losses import page_loss
-from page_training.network import PageNetwork
+from page_training.network import PageNetwork, network_for
+from page_training.records import open_shards
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingConfig:
-    """Everything a run depends on besides the cached frames.
-
-    samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
-    run begins with, instead of random weights.
-    """
-
-    category: str
-    samples: int = 100_000
-    batch_size: int = 12
-    dense_points: int = 512
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-4
-    warmup_share: float = 0.02
-    gradient_clip: float = 5.0
-    average_decay: float = 0.999
-    start_from: str | None = None
-    seed: int = 1
-    threads: int = 1
-    validate_every: int = 500
-    save_every: int = 100
-    augmentation: Augmentation = field(default_factory=Augmentation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +55,6 @@ def keep_freed_memory() -> None:
         libc.mallopt(M_MMAP_THRESHOLD, 32 << 20)
         libc.mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
         libc.mallopt(M_TOP_PAD, 256 << 20)
-
-
-def network_for(category: Category) -> PageNetwork:
-    """An untrained network of the category's shape."""
-    return PageNetwork(len(category.parts), category.num_keypoints, category.num_voted)
 
 
 def _learning_rate(step: int, steps: int, config: TrainingConfig) -> float:
@@ -140,67 +112,40 @@ def _batches(
         )
 
 
-def save_checkpoint(path: Path, **state: Any) -> None:
-    """Write a checkpoint whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(state, path.with_suffix(".partial"))
-    path.with_suffix(".partial").rename(path)
-
-
-def load_checkpoint(path: Path, category: str | None = None) -> dict[str, Any]:
-    """A checkpoint written by `train`, or weights kept of one, of `category` if given.
-
-    Weights only, so a foreign file cannot run code. ValueError says what is wrong with the file.
-    """
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
-        raise ValueError(f"checkpoint {path}: torch cannot read it ({str(error).splitlines()[0]})") from error
-    missing = {"average", "category", "step", "samples"} - (state.keys() if isinstance(state, dict) else set())
-    if missing:
-        raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
-    if category is not None and state["category"] != category:
-        raise ValueError(f"checkpoint {path}: expected category {category!r}, got {state['category']!r}")
-    return state
-
-
-def keep_weights(checkpoint: Path, path: Path) -> None:
-    """Of a checkpoint keep what a later run or an export needs: the averaged network, a fifth of the size."""
-    state = load_checkpoint(checkpoint)
-    save_checkpoint(path, **{name: state[name] for name in ("average", "category", "step", "samples")})
-
-
 def train(
     config: TrainingConfig, category: Category, cache: Path, run: Path, on_report: Callable[[Report], None]
 ) -> Path:
     """Train, or go on with the run in folder `run`; returns its checkpoint.
 
-    The folder holds config.json, checkpoint.pt (network, average, optimizer, step) and history.jsonl. Interrupt it at
-    any time; at most `save_every` steps are repeated.
+    The folder holds config.json, checkpoint.pt and history.jsonl. Interrupt it at any time; at most `save_every` steps
+    are repeated. A run may go on with another number of samples or threads, and is then on another learning rate's
+    curve; ValueError when anything else differs from what it was begun with.
     """
     keep_freed_memory()
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     network = network_for(category)
     network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    earlier_samples = 0
-    if config.start_from is not None:
-        start = load_checkpoint(Path(config.start_from), category.name)
+    earlier_samples, first_step = 0, 0
+    checkpoint = run / "checkpoint.pt"
+    state = load_checkpoint(checkpoint, category) if checkpoint.exists() else None
+    if state is not None:
+        _require_same_run(json.loads(state["config"]), config, checkpoint)
+        network.load_state_dict(state["network"])
+        first_step = state["step"]
+        earlier_samples = state["samples"] - first_step * config.batch_size
+    elif config.start_from is not None:
+        start = load_checkpoint(Path(config.start_from), category)
         network.load_state_dict(start["average"])
         earlier_samples = start["samples"]
     average = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
-    steps = math.ceil(config.samples / config.batch_size)
-    first_step = 0
-    checkpoint = run / "checkpoint.pt"
-    run.mkdir(parents=True, exist_ok=True)
-    (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
-    if checkpoint.exists():
-        state = load_checkpoint(checkpoint, category.name)
-        network.load_state_dict(state["network"])
+    if state is not None:
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
-        first_step = state["step"]
+    steps = math.ceil(config.samples / config.batch_size)
+    run.mkdir(parents=True, exist_ok=True)
+    (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
@@ -236,11 +181,22 @@ def train(
                 optimizer=optimizer.state_dict(),
                 step=done,
                 samples=earlier_samples + done * config.batch_size,
-                category=category.name,
+                category=json.dumps(category_document(category)),
+                config=json.dumps(asdict(config)),
             )
             on_report(report)
             sums, counted, since = {}, 0, time.perf_counter()
     return checkpoint
+
+
+def _require_same_run(begun: dict[str, Any], config: TrainingConfig, checkpoint: Path) -> None:
+    free = {"samples", "threads", "validate_every", "save_every"}
+    now = json.loads(json.dumps(asdict(config)))
+    different = sorted(name for name in now if name not in free and now[name] != begun.get(name))
+    if different:
+        raise ValueError(
+            f"{checkpoint}: this run was begun with other {', '.join(different)}; give those again or another --run"
+        )
 
 
 @torch.no_grad()

@@ -2,7 +2,9 @@
 
     network = Network("laptop.onnx")
     for recorded in open_source("recording"):
-        pose = estimate(network, recorded.frame, recorded.instances[0].region)
+        for instance in recorded.instances:
+            if instance.region is not None:
+                pose = estimate(network, recorded.frame, instance.region)
 
 Importing the package loads none of it: each name brings its module when it is first used.
 """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 from collections.abc import Callable, Iterable
@@ -16,6 +15,7 @@ import numpy as np
 
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
+from page_runtime.pose import ArticulatedPose
 from page_runtime.recorded import Source
 
 # Section VI of the paper, on a desktop computer with a GPU; its alignment is our registration.
@@ -34,37 +34,44 @@ class Timing:
     total_ms: float
 
 
-def passes_needed(source: Source, min_measurements: int = MIN_MEASUREMENTS) -> int:
-    """Whole passes over the source, so that every frame counts alike, until there are that many regions to estimate."""
-    regions = sum(instance.region is not None for entry in source.entries for instance in entry.instances)
-    return -(-min_measurements // max(regions, 1))
-
-
 def time_estimates(
-    network: Network, source: Source, *, passes: int, on_frame: Callable[[], None] = lambda: None
+    network: Network,
+    source: Source,
+    *,
+    min_measurements: int = MIN_MEASUREMENTS,
+    on_frame: Callable[[int], None] = lambda _: None,
 ) -> tuple[list[Timing], int]:
-    """Timings of `passes` passes over the source, and how many estimates were left out.
+    """At least so many timings, or none if no estimate reaches the network, and how many estimates were left out.
 
-    Reading frames is not timed, one frame is in memory at a time, and WARM_UP estimates come before the first timing.
-    Left out are estimates that ended before the network ran: their few microseconds would only flatter the rest.
+    Whole passes over the source, so that every frame counts alike. Reading frames is not timed, one frame is in memory
+    at a time, and WARM_UP estimates that reached the network come before the first timing. Left out are estimates that
+    ended before it: their few microseconds would only flatter the rest. on_frame is told the number of frames in all
+    passes, which is known from the second pass on.
     """
     timings: list[Timing] = []
-    left_out, to_warm_up = 0, WARM_UP
-    for _ in range(passes):
+    left_out, to_warm_up, passes = 0, WARM_UP, 1
+    while len(timings) < min_measurements:
         for recorded in source:
             for region in (i.region for i in recorded.instances if i.region is not None):
-                while to_warm_up:
-                    estimate(network, recorded.frame, region)
+                while to_warm_up and _reached_network(estimate(network, recorded.frame, region)):
                     to_warm_up -= 1
                 begin = perf_counter()
                 pose = estimate(network, recorded.frame, region)
                 total_ms = (perf_counter() - begin) * 1e3
-                if pose.stage_ms.get("network", 0.0) > 0:
+                if _reached_network(pose):
                     timings.append(Timing(pose.stage_ms, total_ms))
                 else:
                     left_out += 1
-            on_frame()
+            on_frame(passes * len(source))
+        if not timings:
+            break
+        if passes == 1:
+            passes = -(-min_measurements // len(timings))
     return timings, left_out
+
+
+def _reached_network(pose: ArticulatedPose) -> bool:
+    return pose.stage_ms.get("network", 0.0) > 0
 
 
 def report(timings: list[Timing], *, threads: int) -> dict[str, Any]:
@@ -96,11 +103,6 @@ def peak_rss_mb() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)
-
-
-def available_threads() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def versions() -> dict[str, str]:

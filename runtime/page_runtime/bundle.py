@@ -35,34 +35,25 @@ class BundleMetadata:
     opset: int
     provenance: dict[str, Any]
 
+    def __post_init__(self) -> None:
+        if self.num_points <= 0 or self.image_size <= 0 or not 0 < self.voxel_m < 1:
+            raise ValueError(
+                f"expected positive num_points and image_size and 0 < voxel_m < 1, "
+                f"got {self.num_points}, {self.image_size} and {self.voxel_m}"
+            )
+
     def to_json(self) -> str:
         """The JSON document; `from_json` gives the same metadata back."""
-        category = self.category
-        return json.dumps(
-            {
-                "version": METADATA_VERSION,
-                "category": category.name,
-                "num_voted": category.num_voted,
-                "region_radius_m": category.region_radius_m,
-                "parts": [
-                    {
-                        "name": part.name,
-                        "frame": part.frame,
-                        "keypoints_unit": part.keypoints_unit.tolist(),
-                        "extents_unit": part.extents_unit.tolist(),
-                        "diagonal_range_m": list(part.diagonal_range_m),
-                    }
-                    for part in category.parts
-                ],
-                "joints": [{f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints],
-                "num_points": self.num_points,
-                "image_size": self.image_size,
-                "voxel_m": self.voxel_m,
-                "opset": self.opset,
-                "provenance": self.provenance,
-            },
-            indent=1,
-        )
+        document = {
+            "version": METADATA_VERSION,
+            **category_document(self.category),
+            "num_points": self.num_points,
+            "image_size": self.image_size,
+            "voxel_m": self.voxel_m,
+            "opset": self.opset,
+            "provenance": self.provenance,
+        }
+        return json.dumps(document, indent=1)
 
     @staticmethod
     def from_json(text: str) -> BundleMetadata:
@@ -74,18 +65,11 @@ class BundleMetadata:
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
             raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
-        top = _closed(document, "bundle", _TOP_FIELDS)
-        parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts"))
-        joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints"))
+        top = _closed(document, "bundle", _CATEGORY_FIELDS | _OWN_FIELDS)
+        category = category_from({name: top[name] for name in _CATEGORY_FIELDS})
         try:
             return BundleMetadata(
-                category=Category(
-                    name=str(top["category"]),
-                    parts=parts,
-                    joints=joints,
-                    num_voted=int(top["num_voted"]),
-                    region_radius_m=float(top["region_radius_m"]),
-                ),
+                category=category,
                 num_points=int(top["num_points"]),
                 image_size=int(top["image_size"]),
                 voxel_m=float(top["voxel_m"]),
@@ -96,10 +80,45 @@ class BundleMetadata:
             raise BundleError(f"bundle metadata: {error}") from error
 
 
-_TOP_FIELDS = {
-    "version", "category", "num_voted", "region_radius_m", "parts", "joints", "num_points", "image_size", "voxel_m",
-    "opset", "provenance",
-}  # fmt: skip
+def category_document(category: Category) -> dict[str, Any]:
+    """A category in JSON's types; `category_from` gives it back."""
+    return {
+        "category": category.name,
+        "num_voted": category.num_voted,
+        "region_radius_m": category.region_radius_m,
+        "parts": [
+            {
+                "name": part.name,
+                "frame": part.frame,
+                "keypoints_unit": part.keypoints_unit.tolist(),
+                "extents_unit": part.extents_unit.tolist(),
+                "diagonal_range_m": list(part.diagonal_range_m),
+            }
+            for part in category.parts
+        ],
+        "joints": [{f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints],
+    }
+
+
+def category_from(document: dict[str, Any]) -> Category:
+    """The category of `category_document`; BundleError names the field that is wrong, missing or one too many."""
+    top = _closed(document, "category", _CATEGORY_FIELDS)
+    parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts"))
+    joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints"))
+    try:
+        return Category(
+            name=str(top["category"]),
+            parts=parts,
+            joints=joints,
+            num_voted=int(top["num_voted"]),
+            region_radius_m=float(top["region_radius_m"]),
+        )
+    except (TypeError, ValueError) as error:
+        raise BundleError(f"bundle metadata: {error}") from error
+
+
+_CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
+_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance"}
 _PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits"}
 

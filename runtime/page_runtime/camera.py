@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from page_runtime.geometry import Array, apply, require_rigid
+from page_runtime.geometry import Array, require_rigid
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,10 +65,6 @@ class Camera:
     def backproject(self, pixels: Array, depth_m: Array) -> Array:
         """points_camera (..., 3), metres, of pixels (..., 2) with z-depth depth_m (...,)."""
         return self.rays(pixels) * np.asarray(depth_m)[..., None]
-
-    def to_camera(self, points_world: Array) -> Array:
-        """points_camera (..., 3) of points_world (..., 3)."""
-        return apply(self.T_camera_world, points_world)
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
         """The camera of the image region that begins at pixel (x, y); it may reach outside the image."""

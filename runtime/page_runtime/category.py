@@ -78,6 +78,10 @@ class Category:
     region_radius_m: float
 
     def __post_init__(self) -> None:
+        if not self.parts:
+            raise ValueError(f"Category {self.name!r}: expected at least one part")
+        if not 0 < self.region_radius_m < 100:
+            raise ValueError(f"Category {self.name!r}: expected region_radius_m in metres, got {self.region_radius_m}")
         counts = {len(part.keypoints_unit) for part in self.parts}
         if len(counts) != 1 or not 3 <= self.num_voted <= min(counts):
             raise ValueError(

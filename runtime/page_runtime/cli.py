@@ -26,7 +26,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (nothing was written), 130 interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
 
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
     run = command("run", "write one JSON line for every object in every frame", "source", "a folder of RGB-D frames")
-    region_help = "where the object is, px; default: where the source says"
+    region_help = "where the object is, px (--region=-5,3,10,10 for a minus first); default: where the source says"
     run.add_argument("--region", metavar="X,Y,W,H", type=_region, help=region_help)
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)

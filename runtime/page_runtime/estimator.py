@@ -29,19 +29,24 @@ def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedP
     """
     metadata = network.metadata
     watch = Stopwatch()
-    sample = sample_region(
-        frame,
-        region,
-        image_size=metadata.image_size,
-        num_points=metadata.num_points,
-        radius_m=metadata.category.region_radius_m,
-    )
+    sample = sample_for(metadata, frame, region)
     watch.stage("sampling")
     if isinstance(sample, str):
         return ArticulatedPose(tuple(NotSeen(part.name, sample) for part in metadata.category.parts), watch.stage_ms)
     output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
     watch.stage("network")
     return pose_from_output(metadata, sample, output, watch)
+
+
+def sample_for(metadata: BundleMetadata, frame: RgbdFrame, region: Region) -> RegionSample | str:
+    """The points a bundle asks for, or why there are none."""
+    return sample_region(
+        frame,
+        region,
+        image_size=metadata.image_size,
+        num_points=metadata.num_points,
+        radius_m=metadata.category.region_radius_m,
+    )
 
 
 def pose_from_output(
@@ -110,6 +115,8 @@ def _estimate_part(
         keypoints_camera=registration.keypoints_camera,
         scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in votes]),
         confidence=registration.inlier_share,
+        runner_up_ratio=registration.runner_up_ratio,
+        vote_gap=max(vote.gap for vote in votes),
         num_points=len(members),
         residual_m=registration.residual_m,
         covariance=registration.covariance[:6, :6],

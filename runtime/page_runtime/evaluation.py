@@ -1,4 +1,4 @@
-"""Estimates against truth: rotation, translation, exact box IoU, joint angle, and how often it failed.
+"""Estimates against truth: rotation, translation, exact box IoU, and how often it failed.
 
 Rotation errors are geodesic angles, neither folded nor capped. What is counted:
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
 
-MAX_PLAUSIBLE_DEPTH_M = 100.0
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RgbdFrame:

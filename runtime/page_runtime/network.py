@@ -10,7 +10,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
-from page_runtime.neighbours import LEVELS, Neighbours
+from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours
 from page_runtime.sampling import RegionSample
 
 INPUT_NAMES = ("image", "points", "pixels", "group1", "group2", "group3", "up1", "up2", "up3")
@@ -61,11 +61,14 @@ class Network:
             raise BundleError(
                 f"bundle {self.path}: no {METADATA_KEY!r} in the metadata of this ONNX model; use page-export"
             )
-        self.metadata = BundleMetadata.from_json(document)
+        try:
+            self.metadata = BundleMetadata.from_json(document)
+        except BundleError as error:
+            raise BundleError(f"{self.path}: {error}") from error
         self._check_signature()
 
     def _check_signature(self) -> None:
-        """The graph must take and give what its metadata says."""
+        """The graph must take and give what its metadata and the neighbour search say."""
         names = tuple(value.name for value in self.session.get_inputs())
         outputs = tuple(value.name for value in self.session.get_outputs())
         if names != INPUT_NAMES or outputs != OUTPUT_NAMES:
@@ -76,19 +79,28 @@ class Network:
         metadata = self.metadata
         if metadata.num_points != LEVELS[0]:
             raise BundleError(f"bundle {self.path}: expected num_points {LEVELS[0]}, got {metadata.num_points}")
-        shapes = {value.name: value.shape for value in (*self.session.get_inputs(), *self.session.get_outputs())}
         parts, keypoints = len(metadata.category.parts), metadata.category.num_keypoints
-        expected = {
-            "image": [1, 3, metadata.image_size, metadata.image_size],
-            "points": [1, metadata.num_points, 3],
-            "part_logits": [1, metadata.num_points, parts + 1],
-            "radii": [1, metadata.num_points, keypoints],
-            "side_logits": [1, metadata.num_points, metadata.category.num_voted],
+        full, size = metadata.num_points, metadata.image_size
+        floats = {
+            "image": [1, 3, size, size],
+            "points": [1, full, 3],
+            "pixels": [1, full, 2],
+            "part_logits": [1, full, parts + 1],
+            "radii": [1, full, keypoints],
+            "side_logits": [1, full, metadata.category.num_voted],
             "log_extents": [1, parts, 3],
         }
-        for name, shape in expected.items():
-            if shapes[name] != shape:
-                raise BundleError(f"bundle {self.path}: expected {name} {shape} by its metadata, got {shapes[name]}")
+        groups = {f"group{i}": [1, count, GROUP_SIZE] for i, count in enumerate(LEVELS[1:], 1)}
+        ups = {f"up{i}": [1, count, INTERPOLATION_SIZE] for i, count in enumerate(LEVELS[:-1], 1)}
+        expected = {name: ("tensor(float)", shape) for name, shape in floats.items()}
+        expected |= {name: ("tensor(int32)", shape) for name, shape in (groups | ups).items()}
+        for value in (*self.session.get_inputs(), *self.session.get_outputs()):
+            kind, shape = expected[value.name]
+            if value.type != kind or value.shape != shape:
+                raise BundleError(
+                    f"bundle {self.path}: expected {value.name} to be {kind} {shape} by its metadata, "
+                    f"got {value.type} {value.shape}; export it again"
+                )
 
     def feeds(self, sample: RegionSample, neighbours: Neighbours) -> dict[str, NDArray[np.generic]]:
         """The graph's inputs: image (1,3,S,S) in [0,1]; points (1,N,3) centred, in region radii; the rest as it is."""

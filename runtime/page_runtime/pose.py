@@ -11,9 +11,12 @@ from page_runtime.geometry import Array
 class PartPose:
     """The 6D pose of one part and how much stands behind it.
 
-    T_camera_part: (4,4), rotation and metres. extents_m: (3,) full size of the part's box. keypoints_camera: (n,3).
-    scores: (n_voted,) share of the part's points that voted for the chosen keypoint (Eq. 17). confidence: [0,1], not
-    yet calibrated: the share of radii that agree with the pose. num_points: points behind it. residual_m: robust
+    T_camera_part: (4,4), rotation and metres. extents_m: (3,) full size of the part's box: the size head's proportions
+    at the fitted scale. keypoints_camera: (n,3). scores: (n_voted,) share of the voting points at each keypoint's
+    highest peak (Eq. 17), which on a flat part may be the mirror image the registration rejected. confidence: [0,1],
+    not yet calibrated: the share of radii that agree with the pose. runner_up_ratio: support of the second distinct
+    pose over this one's, 1 = as good. vote_gap: 0 certifies that the peaks are the dense accumulator's; else that many
+    more votes may have been missed within the scorer's budget. num_points: points behind the pose. residual_m: robust
     standard deviation of the radius residuals. covariance: (6,6) of a small rotation [rad] about the part's origin
     and a translation [m], both in camera axes.
     """
@@ -24,6 +27,8 @@ class PartPose:
     keypoints_camera: Array
     scores: Array
     confidence: float
+    runner_up_ratio: float
+    vote_gap: int
     num_points: int
     residual_m: float
     covariance: Array

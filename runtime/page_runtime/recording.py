@@ -24,10 +24,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.capture.bop import METRES_PER_MM, BopScene, open_scene, pose_of
-from page_runtime.capture.documents import field, listed, number, numbers, read_object
+from page_runtime.capture.bop import BopScene, open_scene, pose_of
+from page_runtime.capture.documents import METRES_PER_MM, field, listed, number, numbers, read_object
 from page_runtime.geometry import Array
-from page_runtime.image_files import SourceError, read_mask, write_color, write_depth, write_mask
+from page_runtime.image_files import SourceError, write_color, write_depth, write_mask
 from page_runtime.recorded import (
     FrameEntry,
     Instance,
@@ -104,9 +104,9 @@ class RecordingWriter:
 
     def write(self, recorded: RecordedFrame, *, masks: Masks | None = None) -> int:
         """Append a frame and return its number. masks: per instance and part, (H,W) bool of its visible pixels."""
-        frame, number = recorded.frame, len(self._frames)
+        frame, index = recorded.frame, len(self._frames)
         self._check(recorded, masks)
-        name = f"{number:06d}"
+        name = f"{index:06d}"
         write_color(self._partial / "rgb" / (name + self.color_suffix), frame.color)
         write_depth(
             self._partial / "depth" / f"{name}.png", frame.depth_m, metres_per_unit=self.depth_unit_mm * METRES_PER_MM
@@ -135,14 +135,14 @@ class RecordingWriter:
                 "region": None if instance.region is None else [int(value) for value in instance.region],
                 "parts": parts if instance.truths else None,
             })  # fmt: skip
-        key = str(number)
+        key = str(index)
         self._cameras[key], self._gt[key], self._gt_info[key] = camera, gt, gt_info
         self._frames[key] = {
             "timestamp_s": frame.timestamp_s,
             "size_px": [frame.camera.width, frame.camera.height],
             "instances": instances,
         }
-        return number
+        return index
 
     def _check(self, recorded: RecordedFrame, masks: Masks | None) -> None:
         camera = recorded.frame.camera
@@ -241,8 +241,3 @@ def _truths(scene: BopScene, key: int, parts: list[Any], names: tuple[str, ...])
         except (TypeError, ValueError) as error:
             raise SourceError(f"{where}: {error}") from error
     return tuple(truths)
-
-
-def read_part_mask(path: Path, number: int, gt: int) -> NDArray[np.bool_]:
-    """(H,W) bool: visible pixels of gt entry `gt` of frame `number` of the recording in folder `path`."""
-    return read_mask(path / "mask_visib" / f"{number:06d}_{gt:06d}.png")

@@ -19,6 +19,8 @@ Region = tuple[int, int, int, int]
 
 REGION_MARGIN = 0.1
 MIN_POINTS = 64
+MAX_REGION_SIDES = 4
+GRID_STEP = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,7 +43,7 @@ class RegionSample:
     num_distinct: int
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def progressive_order(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """(rows, columns) of all pixels of a side x side grid such that every prefix is spread evenly over the grid.
 
@@ -72,6 +74,10 @@ def check_region(region: Region, width: int, height: int) -> Region:
     x, y, w, h = region
     if w <= 0 or h <= 0:
         raise ValueError(f"region: expected a positive size x,y,w,h in pixels, got {x},{y},{w},{h}")
+    if max(w, h) > MAX_REGION_SIDES * max(width, height):
+        raise ValueError(
+            f"region: {x},{y},{w},{h} is over {MAX_REGION_SIDES} times the {width}x{height} image; check its unit"
+        )
     if x >= width or y >= height or x + w <= 0 or y + h <= 0:
         raise ValueError(
             f"region: {x},{y},{w},{h} lies outside the {width}x{height} image; expected x,y,w,h in pixels of it"
@@ -109,7 +115,8 @@ def sample_region(
     check_region(region, frame.camera.width, frame.camera.height)
     square = square_region(region, margin)
     x, y, side, _ = square
-    grid = min(side, image_size)
+    # In steps, so that the few orders there are stay in the cache whatever sizes a detector gives.
+    grid = min(side, image_size) // GRID_STEP * GRID_STEP or side
     rows, columns = progressive_order(grid)
     lattice = np.floor((np.arange(grid) + 0.5) * (side / grid)).astype(np.intp)
     v, u = (lattice + y)[rows], (lattice + x)[columns]

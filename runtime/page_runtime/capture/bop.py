@@ -15,13 +15,21 @@ from typing import Any
 import numpy as np
 
 from page_runtime.camera import Camera
-from page_runtime.capture.documents import field, listed, number, numbers, pictures, read_object, require_folder
+from page_runtime.capture.documents import (
+    METRES_PER_MM,
+    field,
+    listed,
+    number,
+    numbers,
+    pictures,
+    read_object,
+    require_folder,
+)
 from page_runtime.geometry import Array, transform_from
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import FrameEntry, Instance, Source, camera_of_picture, require_playable
 from page_runtime.sampling import Region
 
-METRES_PER_MM = 1e-3
 FORMAT = "BOP scene folder"
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from page_runtime.camera import Camera
 from page_runtime.capture.documents import (
+    METRES_PER_MM,
     field,
     frame_numbers,
     listed,
@@ -28,7 +29,6 @@ from page_runtime.sampling import Region
 FORMAT = "folder of colour and depth pictures"
 INTRINSICS_FILE = "camera_intrinsic.json"
 BOXES_FILE = "det_bboxes.json"
-METRES_PER_MM = 1e-3
 
 
 def read_color_depth(path: Path) -> Source:

@@ -10,6 +10,7 @@ from typing import Any
 from page_runtime.image_files import COLOR_SUFFIXES, SourceError
 
 MAX_NAMES_SHOWN = 8
+METRES_PER_MM = 1e-3
 
 
 def read_json(path: Path) -> Any:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from page_runtime.bench import PAPER_MS, PERCENTILES, available_threads, passes_needed, report, time_estimates
+from page_runtime.bench import PAPER_MS, PERCENTILES, report, time_estimates
 from page_runtime.commands.inputs import open_inputs
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import Progress, number, table
@@ -17,12 +17,11 @@ def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, qui
     """Time every frame of `recording`; write the figures to `json` and a table to standard output."""
     inputs = open_inputs(recording, bundle, threads=threads)
     require_file_place(json, option="--json")
-    passes = passes_needed(inputs.source)
-    with Progress("bench", passes * len(inputs.source), quiet=quiet) as progress:
-        timings, left_out = time_estimates(inputs.network, inputs.source, passes=passes, on_frame=progress.advance)
+    with Progress("bench", len(inputs.source), quiet=quiet) as progress:
+        timings, left_out = time_estimates(inputs.network, inputs.source, on_frame=progress.advance)
     if not timings:
         raise UsageError(f"{recording}: no frame has enough depth in its region to run the network; nothing to time")
-    document = report(timings, threads=threads or available_threads())
+    document = report(timings, threads=inputs.threads)
     document |= {
         "recording": recording.name,
         "bundle": bundle.name,

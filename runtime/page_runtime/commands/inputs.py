@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,16 +23,20 @@ NO_REGION = "not seen: nothing says where the object is in this frame; pass --re
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Inputs:
-    """A loaded bundle and an opened source that go together."""
+    """A loaded bundle and an opened source that go together; threads: what onnxruntime and OpenCV were given."""
 
     network: Network
     source: Source
+    threads: int
 
 
 def open_inputs(source: Path, bundle: Path, *, threads: int, region: Region | None = None) -> Inputs:
-    """Load and open; `region` takes the place of all the source's own. Errors say what does not fit."""
-    if threads > 0:
-        cv2.setNumThreads(threads)
+    """Load and open; threads 0: one for each processor; `region` takes the place of all the source's own.
+
+    Errors say what does not fit.
+    """
+    threads = threads or available_threads()
+    cv2.setNumThreads(threads)
     network = Network(bundle, threads=threads)
     opened = open_source(source)
     category = network.metadata.category
@@ -45,7 +50,12 @@ def open_inputs(source: Path, bundle: Path, *, threads: int, region: Region | No
         opened = _with_region(opened, region)
     if not opened.has_regions:
         raise UsageError(f"{source}: this {opened.format} does not say where the object is; pass --region x,y,w,h")
-    return Inputs(network, opened)
+    return Inputs(network, opened, threads)
+
+
+def available_threads() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _with_region(source: Source, region: Region) -> Source:

@@ -46,7 +46,8 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         ]
     lines += [
         f"joint          {joint.name}: {category.parts[joint.child].name} against {category.parts[joint.parent].name}, "
-        f"{joint.kind} about {_numbers(np.array(joint.axis))} of {category.parts[joint.parent].name}, "
+        f"{joint.kind} {'along' if joint.kind == 'prismatic' else 'about'} {_numbers(np.array(joint.axis))} "
+        f"of {category.parts[joint.parent].name}, "
         f"state {_limits(joint)}, 0 where both frames are parallel"
         for joint in category.joints
     ]

@@ -27,8 +27,11 @@ def require_file_place(path: Path | None, *, option: str) -> None:
         return
     if path.is_dir():
         raise UsageError(f"{option}: expected the name of a file, got the folder {path}")
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{option}: expected the name of a file, got {path}, which is something else")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{option}: no folder {path.resolve().parent} to write {path.name} into")
+    _require_writable(path.resolve().parent, option=option)
 
 
 def require_folder_place(path: Path | None, *, option: str) -> None:
@@ -39,6 +42,15 @@ def require_folder_place(path: Path | None, *, option: str) -> None:
         raise UsageError(f"{option}: expected a folder, got the file {path}")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{option}: no folder {path.resolve().parent} to make {path.name} in")
+    _require_writable(path if path.is_dir() else path.resolve().parent, option=option)
+
+
+def _require_writable(folder: Path, *, option: str) -> None:
+    """By trying: permissions alone say nothing about a read-only or foreign file system."""
+    try:
+        tempfile.TemporaryDirectory(prefix=".page-runtime.", suffix=".partial", dir=folder).cleanup()
+    except OSError as error:
+        raise UsageError(f"{option}: cannot write into {folder} ({error.strerror})") from error
 
 
 @contextmanager
@@ -87,7 +99,9 @@ def overlay_output(path: Path | None) -> Iterator[OverlayFolder | None]:
     if path is None:
         yield None
         return
-    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.resolve().parent))
+    # Inside the folder where there is one, which may be a file system of its own: files cannot be moved into that.
+    inside = path if path.is_dir() else path.resolve().parent
+    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=inside))
     try:
         yield OverlayFolder(staging)
         path.mkdir(exist_ok=True)

@@ -18,9 +18,10 @@ class Progress:
         self.done = 0
         self.live = self.stream.isatty()
 
-    def advance(self) -> None:
-        """One more frame."""
+    def advance(self, total: int | None = None) -> None:
+        """One more frame; total: of how many, when that has only now become known."""
         self.done += 1
+        self.total = total or self.total
         step = max(1, self.total // LINES_WITHOUT_TERMINAL)
         if self.quiet or not (self.live or self.done % step == 0 or self.done == self.total):
             return

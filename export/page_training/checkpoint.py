@@ -1,0 +1,59 @@
+"""Checkpoints of a run, and the small part of one that is worth keeping.
+
+A checkpoint carries the category it was trained for, keypoints and all: weights mean nothing for another set.
+Keys: average (the averaged network), category (JSON of bundle.category_document), config (JSON), step, samples (frames
+seen, those of the run it was started from included); a run's own also network and optimizer.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from page_runtime.bundle import category_document, category_from
+from page_runtime.category import Category
+
+KEPT = ("average", "category", "config", "step", "samples")
+
+
+def save_checkpoint(path: Path, **state: Any) -> None:
+    """Write a checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(state, path.with_suffix(".partial"))
+    path.with_suffix(".partial").rename(path)
+
+
+def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, Any]:
+    """A checkpoint or kept weights, of exactly `category` if given. ValueError says what is wrong with the file.
+
+    Weights only, so a foreign file cannot run code.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
+        raise ValueError(f"checkpoint {path}: torch cannot read it ({str(error).splitlines()[0]})") from error
+    missing = set(KEPT) - (state.keys() if isinstance(state, dict) else set())
+    if missing:
+        raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
+    if category is not None and json.loads(state["category"]) != json.loads(json.dumps(category_document(category))):
+        name = json.loads(state["category"]).get("category")
+        raise ValueError(
+            f"checkpoint {path}: trained for {name!r} with other parts, keypoints or sizes than {category.name!r} has "
+            "now; train anew, or use the release that trained it"
+        )
+    return state
+
+
+def trained_category(state: dict[str, Any]) -> Category:
+    """The category a loaded checkpoint was trained for."""
+    return category_from(json.loads(state["category"]))
+
+
+def keep_weights(checkpoint: Path, path: Path) -> None:
+    """Of a checkpoint keep what a later run or an export needs: a quarter of the size."""
+    state = load_checkpoint(checkpoint)
+    save_checkpoint(path, **{name: state[name] for name in KEPT})

@@ -1,0 +1,50 @@
+"""What a training run is made of; no torch here, so that a command line can show the defaults without loading it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Augmentation:
+    """How far a sample is changed. The probabilities and sigmas were set once by eye, not tuned.
+
+    scale_sigma: of the object's size (its distance follows, so the picture stays right). turn_sigma_rad: of a small
+    rotation of the points alone. colour: gains and offsets of the picture.
+    """
+
+    flip_probability: float = 0.5
+    scale_sigma: float = 0.08
+    turn_sigma_rad: float = 0.12
+    gain_sigma: float = 0.25
+    tint_sigma: float = 0.12
+    offset_sigma: float = 0.08
+    noise_sigma: float = 0.03
+    shuffle_probability: float = 0.15
+    gray_probability: float = 0.15
+    blank_probability: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingConfig:
+    """Everything a run depends on besides the cached frames.
+
+    samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
+    run begins with, instead of random weights.
+    """
+
+    category: str
+    samples: int = 100_000
+    batch_size: int = 12
+    dense_points: int = 512
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-4
+    warmup_share: float = 0.02
+    gradient_clip: float = 5.0
+    average_decay: float = 0.999
+    start_from: str | None = None
+    seed: int = 1
+    threads: int = 1
+    validate_every: int = 500
+    save_every: int = 100
+    augmentation: Augmentation = field(default_factory=Augmentation)

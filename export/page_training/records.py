@@ -1,0 +1,51 @@
+"""Training samples on disk: shards of fixed-size records, written once, read at random through a memory map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
+
+# Raise it with every change to scenes, sensor or sampling: frames of different versions must not mix.
+SCENES_VERSION = 1
+NEIGHBOUR_TABLES = ("group1", "group2", "group3", "up1", "up2", "up3")
+IMAGE_SIZE = 224
+SHARD_SIZE = 256
+SPLITS = ("train", "validation", "test")
+
+
+def record_type(num_parts: int) -> np.dtype[Any]:
+    """One sample. Points are centred, metres; labels num_parts = background; T_center_part in the centred frame."""
+    return np.dtype([
+        ("image", np.uint8, (IMAGE_SIZE, IMAGE_SIZE, 3)),
+        ("points", np.float32, (LEVELS[0], 3)),
+        ("pixels", np.float32, (LEVELS[0], 2)),
+        ("normals", np.int8, (LEVELS[0], 3)),
+        ("labels", np.uint8, (LEVELS[0],)),
+        ("group1", np.int16, (LEVELS[1], GROUP_SIZE)),
+        ("group2", np.int16, (LEVELS[2], GROUP_SIZE)),
+        ("group3", np.int16, (LEVELS[3], GROUP_SIZE)),
+        ("up1", np.int16, (LEVELS[0], INTERPOLATION_SIZE)),
+        ("up2", np.int16, (LEVELS[1], INTERPOLATION_SIZE)),
+        ("up3", np.int16, (LEVELS[2], INTERPOLATION_SIZE)),
+        ("T_center_part", np.float32, (num_parts, 4, 4)),
+        ("extents_m", np.float32, (num_parts, 3)),
+        ("visible_share", np.float32, (num_parts,)),
+    ])  # fmt: skip
+
+
+def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
+    """Where a shard lives under the cache folder."""
+    return root / f"{category}-v{SCENES_VERSION}" / f"{split}-{shard:04d}.npy"
+
+
+def open_shards(root: Path, category: str, split: str) -> list[NDArray[Any]]:
+    """Memory maps of all shards there are at the moment, in order."""
+    return [
+        np.load(path, mmap_mode="r")
+        for path in sorted(shard_path(root, category, split, 0).parent.glob(f"{split}-*.npy"))
+    ]
