@@ -1,7 +1,7 @@
 """page-runtime: the pose of every part of articulated objects, frame by frame.
 
-Nothing heavy is imported here: a command's modules are loaded when it is asked for, and only after --threads was read,
-which numpy's BLAS takes from the environment when it is loaded.
+Nothing heavy is imported here: a command's modules are loaded when it is asked for, after the environment that OpenCV
+and numpy's BLAS read when they are loaded was set.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
-        _prepare(options.get("threads", 0))
+        _prepare()
         return _call(command, options)
     except UsageError as error:
         return _refuse(error)
@@ -66,12 +66,15 @@ def _refuse(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def _prepare(threads: int) -> None:
-    """Set what OpenCV and numpy's BLAS read once, when they are loaded."""
+def _prepare() -> None:
+    """Set what OpenCV and numpy's BLAS read once, when they are loaded.
+
+    The scorer's matrices are small: a second BLAS thread costs more in waiting than it computes, and takes a core from
+    onnxruntime (91 ms a frame against 49 on two cores).
+    """
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    if threads > 0:
-        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ[name] = str(threads)
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
 
 
 def _parser() -> argparse.ArgumentParser:
