@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -130,6 +132,25 @@ def test_a_full_view_shows_the_same_poses_as_a_crop() -> None:
     for one, other in zip(crop.truths, whole.truths, strict=True):
         np.testing.assert_allclose(one.T_camera_part, other.T_camera_part)
         np.testing.assert_allclose(one.extents_m, other.extents_m)
+
+
+def test_nothing_is_seen_beyond_the_image_of_the_camera() -> None:
+    rng = np.random.default_rng(11)
+    scene = sample_scene("laptop", rng)
+    middle = int((scene.coverage.low[0] + scene.coverage.high[0]) / 2)
+    cut = replace(scene, camera=scene.camera.cropped(0, 0, middle, scene.camera.height))
+    view = training_view(cut, rng)
+    camera = view.frame.camera
+    rays = camera.rays(np.stack([np.arange(224.0), np.full(224, 112.0)], axis=1))
+    columns = rays[:, 0] * cut.camera.K[0, 0] + cut.camera.K[0, 2]
+    outside = columns >= middle - 0.5
+    assert outside.any()
+    assert not outside.all()
+    assert not view.frame.color[:, outside].any()
+    assert not view.frame.depth_m[:, outside].any()
+    assert not view.part_mask[:, outside].any()
+    assert view.frame.depth_m[:, ~outside].any()
+    assert view.region[0] + view.region[2] <= np.flatnonzero(outside)[0]
 
 
 def test_an_unknown_category_names_the_known_ones() -> None:

@@ -53,15 +53,28 @@ class SceneView:
 
 
 def training_view(scene: Scene, rng: Generator, size: int = 224) -> SceneView:
-    """The object's crop alone, size x size: its visible box, padded 5-30 % a side, jittered, squared."""
+    """The object's crop alone, size x size: its visible box, padded 5-30 % a side, jittered, squared.
+
+    What lies beyond the image of the scene's camera is black and without depth, as in a crop of a real frame.
+    """
     low, high = scene.coverage.low, scene.coverage.high
     extent = high - low
     padding = rng.uniform(0.05, 0.30, 4) if rng.random() < 0.9 else rng.uniform(-0.10, 0.15, 4)
     low, high = low - padding[:2] * extent.max(), high + padding[2:] * extent.max()
     square = float((high - low).max())
     middle = (low + high) / 2
-    camera = square_camera(scene.camera, middle[0] - square / 2, middle[1] - square / 2, square, size)
-    return _view(scene, rng, camera, native=max(8, round(square)))
+    left, top = middle - square / 2
+    camera = square_camera(scene.camera, left, top, square, size)
+    native = max(8, round(square))
+    offsets = (np.arange(size) + 0.5) * (max(2, round(square)) / size) - 0.5
+    columns, rows = round(left) + offsets, round(top) + offsets
+    inside = np.outer(_within(rows, scene.camera.height), _within(columns, scene.camera.width))
+    return _view(scene, rng, camera, native, inside)
+
+
+def _within(positions: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
+    """Which pixel positions lie on an image `size` pixels long."""
+    return (positions >= -0.5) & (positions < size - 0.5)
 
 
 def full_view(scene: Scene, rng: Generator, width: int = 640, height: int = 480) -> SceneView:
@@ -74,34 +87,38 @@ def full_view(scene: Scene, rng: Generator, width: int = 640, height: int = 480)
         (height - 1) / 2 + (K[1, 2] - (scene.camera.height - 1) / 2) * scale,
     )
     camera = Camera(K=K, width=width, height=height, T_camera_world=scene.camera.T_camera_world)
-    return _view(scene, rng, camera, native=height)
+    return _view(scene, rng, camera, height, np.ones((height, width), dtype=bool))
 
 
-def _view(scene: Scene, rng: Generator, camera: Camera, native: int) -> SceneView:
+def _view(scene: Scene, rng: Generator, camera: Camera, native: int, inside: NDArray[np.bool_]) -> SceneView:
+    """inside: (H,W), pixels that the scene's camera has."""
     rendering = render(scene.world, camera, scene.lighting)
     raster = raster_of(rendering, float(camera.K[0, 0]), native)
     on_object = raster.label > 0
-    sensor, depth = sample_sensor(rng), raster.depth_m
-    for _ in range(SENSOR_TRIES):
-        depth = sense(rng, raster, sensor)
+    sensor = sample_sensor(rng)
+    depth = sense(rng, raster, sensor)
+    for _ in range(SENSOR_TRIES - 1):
         if not on_object.any() or np.mean(depth[on_object] == 0) < MAX_MISSING:
             break
         sensor = sample_sensor(rng)
+        depth = sense(rng, raster, sensor)
     shape = rendering.depth_m.shape
     if depth.shape != shape:
-        rows = (np.arange(shape[0]) * depth.shape[0]) // shape[0]
-        columns = (np.arange(shape[1]) * depth.shape[1]) // shape[1]
+        rows = ((2 * np.arange(shape[0]) + 1) * depth.shape[0]) // (2 * shape[0])
+        columns = ((2 * np.arange(shape[1]) + 1) * depth.shape[1]) // (2 * shape[1])
         depth = np.ascontiguousarray(depth[np.ix_(rows, columns)])
     pasted = rendering.label > 0 if isinstance(sensor, Composite) else None
     color = develop(rng, rendering.color, native, pasted)
+    color[~inside] = 0
+    label = np.where(inside, rendering.label, 0).astype(np.uint8)
     return SceneView(
-        frame=RgbdFrame(color=color, depth_m=depth, camera=camera),
-        part_mask=rendering.label,
+        frame=RgbdFrame(color=color, depth_m=np.where(inside, depth, np.float32(0)), camera=camera),
+        part_mask=label,
         normals_camera=rendering.normals_camera,
         noiseless_depth_m=rendering.depth_m,
-        truths=_truths(scene, camera, rendering.label),
+        truths=_truths(scene, camera, label),
         joint_states=scene.joint_states,
-        region=_tight_box(rendering.label > 0),
+        region=_tight_box(label > 0),
     )
 
 
