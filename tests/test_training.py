@@ -12,15 +12,9 @@ from page_training.cache import make_shard
 from page_training.categories import CATEGORIES, category_named
 from page_training.checkpoint import keep_weights, load_checkpoint, trained_category
 from page_training.config import Augmentation, TrainingConfig
+from page_training.layers import GeometryGuidedFuser, gather_rows, group_maximum, sample_bilinear
 from page_training.losses import MIN_PART_POINTS, page_loss, part_weights
-from page_training.network import (
-    GeometryGuidedFuser,
-    NetworkOutputs,
-    gather_rows,
-    group_maximum,
-    network_for,
-    sample_bilinear,
-)
+from page_training.network import NetworkOutputs, network_for
 from page_training.records import open_shards, record_type, shard_path
 from page_training.train import train
 

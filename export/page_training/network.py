@@ -12,7 +12,7 @@ Outputs, D dense points (all N, or a random subset in training):
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +20,15 @@ from torch.nn import functional
 
 from page_runtime.category import Category
 from page_runtime.neighbours import LEVELS
+from page_training.layers import (
+    Dense,
+    FeaturePropagation,
+    GeometryGuidedFuser,
+    ImageBranch,
+    SetAbstraction,
+    interpolate_up,
+    sample_bilinear,
+)
 
 # Spread of an object's points in region radii: positions enter beside normalised features as large as those.
 POSITION_SCALE = 0.25
@@ -49,173 +58,6 @@ class NetworkOutputs:
     keypoints: Tensor
     coarse_logits: Tensor
     part_keypoints: Tensor
-
-
-class Dense(nn.Sequential):
-    """Linear, layer norm, ReLU over the last dimension of (..., C).
-
-    Not batch norm: what matters here is constant over an object's points (where it lies, how it is turned), and a
-    dozen objects a batch make noisy statistics of that. Memorising 48 laptops for 250 steps left a keypoint error of
-    12 % of the part's diagonal with layer norm and 15 % with batch norm.
-    """
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__(nn.Linear(inputs, outputs), nn.LayerNorm(outputs), nn.ReLU())
-
-
-class Convolution(nn.Sequential):
-    """3x3 convolution, batch norm, ReLU."""
-
-    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
-        super().__init__(
-            nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(inplace=True),
-        )
-
-
-def gather_rows(features: Tensor, index: Tensor) -> Tensor:
-    """features (B,P,C) at index (B,...) -> (B,...,C), as one flat gather (cheaper in ONNX than GatherElements)."""
-    batch, count, channels = features.shape
-    offset = torch.arange(batch, device=index.device).view(-1, *[1] * (index.dim() - 1)) * count
-    return features.reshape(batch * count, channels)[(index + offset).reshape(-1)].view(*index.shape, channels)
-
-
-class GroupMaximum(torch.autograd.Function):
-    """Maximum over dimension 2. The built-in one's gradient writes four tensors of the input's size; this one, one."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        values, index = x.max(dim=2, keepdim=True)
-        ctx.save_for_backward(index)
-        ctx.shape = x.shape
-        return values.squeeze(2)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        (index,) = ctx.saved_tensors
-        return gradient.new_zeros(ctx.shape).scatter_(2, index, gradient.unsqueeze(2))
-
-
-def group_maximum(x: Tensor) -> Tensor:
-    """(B,C) maxima over dimension 2 of (B,P,G,C)."""
-    return GroupMaximum.apply(x) if x.requires_grad else x.amax(dim=2)  # pyright: ignore[reportReturnType]
-
-
-def sample_bilinear(feature_map: Tensor, pixels: Tensor, image_size: int) -> Tensor:
-    """Features (B,P,C) of feature_map (B,C,h,w) at crop pixels (B,P,2): p' = M p already applied (Eq. 12).
-
-    Pixel centres are integers, so pixel c of S is at (2c + 1) / S - 1 in the map's [-1, 1] square at every stride.
-    """
-    grid = ((2.0 * pixels + 1.0) / image_size - 1.0).unsqueeze(1)
-    sampled = functional.grid_sample(feature_map, grid, mode="bilinear", padding_mode="border", align_corners=False)
-    return sampled.squeeze(2).transpose(1, 2)
-
-
-class ImageBranch(nn.Module):
-    """A small convolutional pyramid; gives maps at strides 4 and 8 (fine detail) and 16 (context)."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        w = width
-        self.stem = nn.Sequential(Convolution(3, w, 2), Convolution(w, 2 * w, 2), Convolution(2 * w, 2 * w))
-        self.stage8 = nn.Sequential(Convolution(2 * w, 4 * w, 2), Convolution(4 * w, 4 * w))
-        self.stage16 = nn.Sequential(Convolution(4 * w, 6 * w, 2), Convolution(6 * w, 6 * w))
-        self.stage32 = nn.Sequential(Convolution(6 * w, 8 * w, 2), Convolution(8 * w, 8 * w))
-        self.lateral32 = nn.Conv2d(8 * w, 6 * w, 1)
-        self.lateral16 = nn.Conv2d(6 * w, 4 * w, 1)
-        self.lateral8 = nn.Conv2d(4 * w, 2 * w, 1)
-        self.channels = (2 * w, 4 * w, 6 * w)
-
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        x4 = self.stem(image)
-        x8 = self.stage8(x4)
-        x16 = self.stage16(x8)
-        x32 = self.stage32(x16)
-        y16 = functional.relu(x16 + functional.interpolate(self.lateral32(x32), scale_factor=2.0, mode="nearest"))
-        y8 = functional.relu(x8 + functional.interpolate(self.lateral16(y16), scale_factor=2.0, mode="nearest"))
-        y4 = functional.relu(x4 + functional.interpolate(self.lateral8(y8), scale_factor=2.0, mode="nearest"))
-        return y4, y8, y16
-
-
-class SetAbstraction(nn.Module):
-    """A PointNet++ level: for each centre, the maximum over its neighbours of an MLP of feature and offset.
-
-    The first linear layer is applied to points and centres before they are gathered, which is the same sum for a
-    sixteenth of the multiplications. Offsets count in `radius`, the usual reach of a neighbourhood in region radii:
-    left as they are, they drown in the layer's bias and nothing local is learned.
-    """
-
-    def __init__(self, inputs: int, hidden: int, outputs: int, radius: float) -> None:
-        super().__init__()
-        self.radius = radius
-        self.feature = nn.Linear(inputs, hidden) if inputs else None
-        self.position = nn.Linear(3, hidden)
-        self.edge = nn.Linear(hidden, outputs)
-        self.norm = nn.LayerNorm(outputs)
-
-    def forward(self, points: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
-        position = self.position(points / self.radius)
-        source = position if self.feature is None or features is None else position + self.feature(features)
-        centers = position[:, : index.shape[1]] - self.position.bias
-        edges = functional.relu(gather_rows(source, index) - centers.unsqueeze(2))
-        return functional.relu(self.norm(group_maximum(self.edge(edges))))
-
-
-def interpolate_up(fine: Tensor, coarse: Tensor, features: Tensor, index: Tensor) -> Tensor:
-    """Inverse-distance interpolation of features (B,P,C) at coarse points (B,P,3) to fine points (B,F,3).
-
-    The weights sum to one, so a linear layer may come before it, on the few coarse points, as well as after.
-    """
-    with torch.no_grad():
-        distance = (gather_rows(coarse, index) - fine.unsqueeze(2)).square().sum(-1)
-        weight = 1.0 / (distance + 1e-6)
-        weight = weight / weight.sum(dim=-1, keepdim=True)
-    return torch.matmul(weight.unsqueeze(2), gather_rows(features, index)).squeeze(2)
-
-
-class FeaturePropagation(nn.Module):
-    """A PointNet++ feature propagation: coarse features interpolated, joined with the fine level's own, one layer."""
-
-    def __init__(self, coarse: int, fine: int, outputs: int) -> None:
-        super().__init__()
-        self.from_coarse = nn.Linear(coarse, outputs, bias=False)
-        self.from_fine = nn.Linear(fine, outputs)
-        self.norm = nn.LayerNorm(outputs)
-
-    def forward(
-        self, fine_points: Tensor, coarse_points: Tensor, coarse: Tensor, fine: Tensor, index: Tensor
-    ) -> Tensor:
-        raised = interpolate_up(fine_points, coarse_points, self.from_coarse(coarse), index)
-        return functional.relu(self.norm(raised + self.from_fine(fine)))
-
-
-class GeometryGuidedFuser(nn.Module):
-    """GC-Fuser (Eq. 13, 14): geometry decides, channel by channel, how much of the colour feature passes.
-
-    A softmax over one logit would be the constant 1 (METHOD 5). Each channel has two logits, pass and block; their
-    Gumbel-softmax is a sigmoid of the difference plus logistic noise, and without the noise it is the deterministic
-    gate of inference.
-    """
-
-    def __init__(self, geometry: int, color: int, hidden: int) -> None:
-        super().__init__()
-        self.from_geometry = nn.Linear(geometry, hidden)
-        self.from_color = nn.Linear(color, hidden)
-        self.gate = nn.Linear(hidden, color)
-        # Open at first: a colour branch behind closed gates gets no gradient to become useful.
-        nn.init.constant_(self.gate.bias, 2.0)
-        self.outputs = geometry + color
-
-    def weights(self, geometry: Tensor, color: Tensor) -> Tensor:
-        logits = self.gate(functional.relu(self.from_geometry(geometry) + self.from_color(color)))
-        if self.training:
-            uniform = torch.rand_like(logits).clamp(1e-4, 1.0 - 1e-4)
-            logits = logits + torch.log(uniform) - torch.log1p(-uniform)
-        return torch.sigmoid(logits)
-
-    def forward(self, geometry: Tensor, color: Tensor) -> Tensor:
-        return torch.cat([self.weights(geometry, color) * color, geometry], dim=-1)
 
 
 class PageNetwork(nn.Module):
