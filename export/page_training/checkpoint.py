@@ -35,7 +35,10 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
-        raise ValueError(f"checkpoint {path}: torch cannot read it ({str(error).splitlines()[0]})") from error
+        # Not torch's own words: they advise to load the file in a way that lets it run code.
+        raise ValueError(
+            f"checkpoint {path}: torch cannot read it as weights; expected a .pt file of page-train"
+        ) from error
     missing = set(KEPT) - (state.keys() if isinstance(state, dict) else set())
     if missing:
         raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")

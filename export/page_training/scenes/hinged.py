@@ -33,8 +33,7 @@ class HingedObject:
     """parts: (base, lid). hinge_base, hinge_lid: (3,) the same point of the hinge in either part's frame,
     metres.
 
-    loose: things lying in the base that belong to no part (background), in the base frame. base_bottom_m: z
-    of the resting plane in the base frame.
+    loose: things lying in the base that belong to no part (background), in the base frame.
     """
 
     parts: tuple[PartModel, PartModel]
