@@ -17,7 +17,8 @@ def off_surface_keypoints() -> Array:
     """(8,3) keypoints in units of the part's diagonal, canonical frame.
 
     Three voted ones above the part, three below turned by 60 degrees, one beyond either end along x. No plane holds
-    them all and no reflection maps the set to itself in order, so a mirrored pose never fits all eight radii (METHOD 12).
+    them all and no reflection maps the set to itself in order, so a mirrored pose never fits all eight radii
+    (METHOD 12).
     """
     height, radius = 0.33, 0.33
     above = np.radians([90.0, 210.0, 330.0])
