@@ -44,8 +44,8 @@ class Report:
 def keep_freed_memory() -> None:
     """Let glibc keep freed blocks instead of returning them to the kernel after every tensor.
 
-    Without this a step spends a third of its time in page faults (16 against 24 frames/s on one core). A batch of 12
-    keeps the largest tensor under glibc's 32 MiB limit for blocks it will keep. Elsewhere than on glibc, nothing.
+    Without this a step spends much of its time in page faults (16 against 23 frames/s on one core, batches of 16). A
+    batch of 12 keeps the largest tensor under glibc's 32 MiB limit for blocks it will keep. Off glibc it does nothing.
     """
     name = ctypes.util.find_library("c")
     if sys.platform != "linux" or name is None:

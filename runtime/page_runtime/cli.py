@@ -70,7 +70,7 @@ def _prepare() -> None:
     """Set what OpenCV and numpy's BLAS read once, when they are loaded.
 
     The scorer's matrices are small: a second BLAS thread costs more in waiting than it computes, and takes a core from
-    onnxruntime (91 ms a frame against 49 on two cores).
+    onnxruntime (91 ms a frame against 54 on two cores).
     """
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

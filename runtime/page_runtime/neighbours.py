@@ -35,7 +35,7 @@ def nearest(queries: NDArray[np.float32], points: NDArray[np.float32], count: in
     """Indices (Q, count) int32 of the `count` points (P,3) nearest to each query (Q,3), in no particular order.
 
     Squared distances are non-negative floats, whose bit patterns order like integers: the index goes into their low
-    bits and one integer partition does what an argpartition needs four times as long for. Distances equal to within
+    bits and one integer partition does what an argpartition takes twice as long for. Distances equal to within
     2^-12 of their value count as ties, which go to the lower index.
     """
     bits = max(int(len(points) - 1).bit_length(), 1)

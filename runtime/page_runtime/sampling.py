@@ -1,6 +1,7 @@
 """From a frame and a region to what the network takes: a colour crop and N visible points with their pixels.
 
-Training and run time call this same code, so a network sees on the device exactly what it learned from.
+Training and run time call this same code. Training frames are crops already, of the size the network takes; a crop
+of fewer pixels is enlarged there, while on the device only its own pixels are sampled.
 """
 
 from __future__ import annotations

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array
+from page_runtime.sampling import Region
 from page_training.scenes.photo import develop
 from page_training.scenes.render import render
 from page_training.scenes.scene import Scene, square_camera
 from page_training.scenes.sensor import Composite, raster_of, sample_sensor, sense
 from page_training.scenes.textures import Generator
-
-Region = tuple[int, int, int, int]
 
 SENSOR_TRIES = 3
 MAX_MISSING = 0.5
