@@ -10,7 +10,7 @@ import torch
 from page_training.batches import make_batch
 from page_training.cache import make_shard
 from page_training.categories import CATEGORIES, category_named
-from page_training.checkpoint import keep_weights, load_checkpoint, trained_category
+from page_training.checkpoint import keep_weights, load_checkpoint, save_checkpoint, trained_category
 from page_training.config import Augmentation, TrainingConfig
 from page_training.layers import GeometryGuidedFuser, gather_rows, group_maximum, sample_bilinear
 from page_training.losses import MIN_PART_POINTS, page_loss, part_weights
@@ -177,6 +177,12 @@ def test_kept_weights_start_a_run_and_a_wrong_file_is_refused(cache: Path, tmp_p
         load_checkpoint(tmp_path / "kept.pt", moved)
     with pytest.raises(ValueError, match="begun with other seed"):
         train(replace(started, seed=8), BOX, cache, tmp_path / "again", lambda _: None)
+    foreign = {name: value for name, value in kept.items() if name != "average"}
+    save_checkpoint(tmp_path / "foreign.pt", average=dict(list(kept["average"].items())[1:]), **foreign)
+    with pytest.raises(ValueError, match="another network"):
+        train(
+            replace(config, start_from=str(tmp_path / "foreign.pt")), BOX, cache, tmp_path / "foreign", lambda _: None
+        )
     (tmp_path / "cut.pt").write_bytes((tmp_path / "kept.pt").read_bytes()[:5000])
     with pytest.raises(ValueError, match="cannot read"):
         load_checkpoint(tmp_path / "cut.pt")

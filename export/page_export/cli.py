@@ -80,13 +80,13 @@ def _commit() -> str:
 
 def _trained(path: Path) -> tuple[dict[str, Any], Any, Any]:
     """(checkpoint, category, averaged network) of a checkpoint file."""
-    from page_training.checkpoint import load_checkpoint, trained_category
+    from page_training.checkpoint import load_average, load_checkpoint, trained_category
     from page_training.network import network_for
 
     state = load_checkpoint(path)
     category = trained_category(state)
     network = network_for(category)
-    network.load_state_dict(state["average"])
+    load_average(network, state, path)
     return state, category, network
 
 

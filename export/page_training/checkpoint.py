@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
@@ -54,6 +55,17 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
 def trained_category(state: dict[str, Any]) -> Category:
     """The category a loaded checkpoint was trained for."""
     return category_from(json.loads(state["category"]))
+
+
+def load_average(network: nn.Module, state: dict[str, Any], path: Path) -> None:
+    """Put a checkpoint's averaged weights into `network`; ValueError when they are those of another architecture."""
+    try:
+        network.load_state_dict(state["average"])
+    except RuntimeError as error:
+        raise ValueError(
+            f"checkpoint {path}: its weights are of another network than this release's; train anew, or use the "
+            "release that trained it"
+        ) from error
 
 
 def keep_weights(checkpoint: Path, path: Path) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from page_runtime.bundle import category_document
 from page_runtime.category import Category
 from page_training.batches import Batch, make_batch
-from page_training.checkpoint import load_checkpoint, save_checkpoint
+from page_training.checkpoint import load_average, load_checkpoint, save_checkpoint
 from page_training.config import TrainingConfig
 from page_training.losses import page_loss
 from page_training.network import PageNetwork, network_for
@@ -136,7 +136,7 @@ def train(
         earlier_samples = state["samples"] - first_step * config.batch_size
     elif config.start_from is not None:
         start = load_checkpoint(Path(config.start_from), category)
-        network.load_state_dict(start["average"])
+        load_average(network, start, Path(config.start_from))
         earlier_samples = start["samples"]
     average = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
