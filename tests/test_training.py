@@ -87,7 +87,7 @@ def test_loss_is_zero_exactly_at_the_truth(cache: Path) -> None:
         log_extents=targets.extents_m.log(),
         keypoints=targets.keypoints,
         coarse_logits=sure * torch.nn.functional.one_hot(targets.coarse_labels, 3).float(),
-        part_keypoints=targets.part_keypoints,
+        part_keypoints=(targets.part_keypoints,),
     )
     assert float(page_loss(outputs, targets)["total"]) < 1e-6
     shifted = replace(outputs, radii=targets.radii + 0.01)

@@ -2,7 +2,7 @@
 
 A checkpoint carries the category it was trained for, keypoints and all: weights mean nothing for another set.
 Keys: average (the averaged network), category (JSON of bundle.category_document), config (JSON), step, samples (frames
-seen, those of the run it was started from included); a run's own also network and optimizer.
+seen, those of the run it was started from included); a run's own also network and optimizers.
 """
 
 from __future__ import annotations

@@ -64,7 +64,8 @@ def page_loss(outputs: NetworkOutputs, targets: Targets) -> dict[str, Tensor]:
     present = torch.stack([(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1)
     extent = (outputs.log_extents - targets.extents_m.log()).abs().mean(-1)
     part_unit = RADIUS_UNIT * targets.diagonals
-    part_keypoint = (outputs.part_keypoints - targets.part_keypoints).abs().mean(dim=(-2, -1)) / part_unit
+    guesses = torch.stack(outputs.part_keypoints) - targets.part_keypoints
+    part_keypoint = guesses.abs().mean(dim=(-2, -1)).sum(dim=0) / part_unit
     terms = {
         "segmentation": functional.cross_entropy(outputs.part_logits.flatten(0, 1), targets.labels.flatten()),
         "coarse": functional.cross_entropy(outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()),

@@ -14,12 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from page_runtime.category import Category
 from page_runtime.neighbours import LEVELS
+from page_training.canonical import CanonicalRefiner, frames_of
 from page_training.layers import (
     Dense,
     FeaturePropagation,
@@ -32,6 +34,8 @@ from page_training.layers import (
 
 # Spread of an object's points in region radii: positions enter beside normalised features as large as those.
 POSITION_SCALE = 0.25
+# Looks at the object from its parts' guessed frames, by the same weights.
+REFINEMENTS = 2
 
 
 class NetworkInputs(NamedTuple):
@@ -48,8 +52,8 @@ class NetworkInputs(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class NetworkOutputs:
-    """`keypoints` (B,D,n,3), `coarse_logits` (B,512,K+1) and `part_keypoints` (B,K,n,3) are training signals; the
-    export leaves them out."""
+    """`keypoints` (B,D,n,3), `coarse_logits` (B,512,K+1) and `part_keypoints`, the guesses (B,K,n,3) from first to
+    last, are training signals; the export leaves them out."""
 
     part_logits: Tensor
     radii: Tensor
@@ -57,7 +61,7 @@ class NetworkOutputs:
     log_extents: Tensor
     keypoints: Tensor
     coarse_logits: Tensor
-    part_keypoints: Tensor
+    part_keypoints: tuple[Tensor, ...]
 
 
 class PageNetwork(nn.Module):
@@ -66,12 +70,20 @@ class PageNetwork(nn.Module):
     The radii head predicts where each keypoint lies and gives the distance to it. The same numbers as a plain linear
     head, but a keypoint is the same for all points of a part while its distance is different at each of them, so the
     layers before have a constant to learn instead of a field of spheres. Each part as a whole makes a first guess of
-    its keypoints; its points correct it.
+    its keypoints; two looks from the frames the guess gives, and then the part's points one by one, correct it.
     """
 
-    def __init__(self, num_parts: int, num_keypoints: int, num_voted: int, image_size: int = 224) -> None:
+    unit_keypoints: Tensor
+    unit_inverse: Tensor
+
+    def __init__(self, keypoints_unit: Tensor, num_voted: int, image_size: int = 224) -> None:
+        """keypoints_unit: (K,n,3), those of each part in units of its diagonal."""
         super().__init__()
+        num_parts, num_keypoints = keypoints_unit.shape[:2]
         self.num_parts, self.num_keypoints, self.image_size = num_parts, num_keypoints, image_size
+        self.register_buffer("unit_keypoints", keypoints_unit, persistent=False)
+        centred = keypoints_unit - keypoints_unit.mean(dim=1, keepdim=True)
+        self.register_buffer("unit_inverse", torch.linalg.pinv(centred), persistent=False)
         self.image_branch = ImageBranch(16)
         c4, c8, c16 = self.image_branch.channels
         self.level1 = SetAbstraction(0, 32, 64, radius=0.05)
@@ -86,7 +98,8 @@ class PageNetwork(nn.Module):
         self.part_vector = nn.Sequential(Dense(128 + 3, 128), Dense(128, 128))
         self.extents = nn.Linear(128, 3)
         self.part_keypoints = nn.Linear(128, 3 * num_keypoints)
-        self.up1 = FeaturePropagation(128 + 128 + 3 * num_keypoints, 3, 128)
+        self.refiner = CanonicalRefiner(128, num_parts, num_keypoints, 128)
+        self.up1 = FeaturePropagation(128 + 128 + 3 * num_keypoints, 6, 128)
         self.after_up1 = Dense(128, 128)
         self.fuser = GeometryGuidedFuser(128, c4 + c8, 64)
         self.head = nn.Sequential(Dense(self.fuser.outputs, 128), Dense(128, 96))
@@ -109,20 +122,36 @@ class PageNetwork(nn.Module):
         g1 = self.up2(level[1], level[2], g2, f1, inputs.up2)
         coarse_logits = self.coarse_parts(g1)
         vectors = self._part_vectors(g1, level[1], coarse_logits)
-        part_keypoints = self.part_keypoints(vectors)
+        probabilities = functional.softmax(coarse_logits, dim=-1)
+        guess = self.part_keypoints(vectors).view(-1, self.num_parts, self.num_keypoints, 3)
+        guesses = [guess]
+        known = self.refiner.prepared(g1, probabilities)
+        for _ in range(REFINEMENTS):
+            # Each look learns from where the one before ended; its gradient would only blur what that one learns.
+            frames = frames_of(guess.detach(), self.unit_inverse, self.unit_keypoints)
+            correction, addition = self.refiner(frames, level[1], known, probabilities)
+            guess = frames.place(self.unit_keypoints + correction)
+            vectors = vectors + addition
+            guesses.append(guess)
+        frames = frames_of(guess.detach(), self.unit_inverse, self.unit_keypoints)
         own_part = functional.softmax(coarse_logits[..., : self.num_parts], dim=-1)
-        guess = own_part @ part_keypoints
-        g1 = torch.cat([g1, own_part @ vectors, guess], dim=-1)
+        refined = own_part @ guess.flatten(2)
+        g1 = torch.cat([g1, own_part @ vectors, refined], dim=-1)
 
         up1 = inputs.up1
         if dense is not None:
             points = torch.take_along_dim(points, dense.unsqueeze(-1), dim=1)
             pixels = torch.take_along_dim(pixels, dense.unsqueeze(-1), dim=1)
             up1 = torch.take_along_dim(up1, dense.unsqueeze(-1), dim=1)
-        g0 = self.after_up1(self.up1(points, level[1], g1, points / POSITION_SCALE, up1))
+        owner = interpolate_up(points, level[1], own_part, up1).transpose(1, 2).unsqueeze(-1)
+        in_part = (owner * frames.coordinates(points)).sum(dim=1)
+        g0 = self.after_up1(self.up1(points, level[1], g1, torch.cat([points / POSITION_SCALE, in_part], dim=-1), up1))
         color = torch.cat([sample_bilinear(y, pixels, self.image_size) for y in (y4, y8)], dim=-1)
         fused = self.head(self.fuser(g0, color))
-        keypoints = interpolate_up(points, level[1], guess, up1) + self.keypoints(fused)
+        # Corrections in the part's frame and in parts of its diagonal, turned back.
+        correction = self.keypoints(fused).view(len(points), 1, -1, 3) @ frames.axes
+        correction = (owner * correction.view(len(points), self.num_parts, fused.shape[1], -1)).sum(dim=1)
+        keypoints = interpolate_up(points, level[1], refined, up1) + correction
         keypoints = keypoints.view(*fused.shape[:2], self.num_keypoints, 3)
         radii = (keypoints - points.unsqueeze(2)).square().sum(-1).clamp_min(1e-8).sqrt()
         return NetworkOutputs(
@@ -132,7 +161,7 @@ class PageNetwork(nn.Module):
             log_extents=self.extents(vectors),
             keypoints=keypoints,
             coarse_logits=coarse_logits,
-            part_keypoints=part_keypoints.view(-1, self.num_parts, self.num_keypoints, 3),
+            part_keypoints=tuple(guesses),
         )
 
     def _part_vectors(self, features: Tensor, points: Tensor, logits: Tensor) -> Tensor:
@@ -145,4 +174,5 @@ class PageNetwork(nn.Module):
 
 def network_for(category: Category) -> PageNetwork:
     """An untrained network of the category's shape."""
-    return PageNetwork(len(category.parts), category.num_keypoints, category.num_voted)
+    keypoints_unit = torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).to(torch.float32)
+    return PageNetwork(keypoints_unit, category.num_voted)

@@ -25,6 +25,7 @@ from page_training.checkpoint import load_average, load_checkpoint, save_checkpo
 from page_training.config import TrainingConfig
 from page_training.losses import page_loss
 from page_training.network import PageNetwork, network_for
+from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import open_shards
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
@@ -55,13 +56,6 @@ def keep_freed_memory() -> None:
         libc.mallopt(M_MMAP_THRESHOLD, 32 << 20)
         libc.mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
         libc.mallopt(M_TOP_PAD, 256 << 20)
-
-
-def _learning_rate(step: int, steps: int, config: TrainingConfig) -> float:
-    warmup = max(1, round(config.warmup_share * steps))
-    if step < warmup:
-        return config.learning_rate * (step + 1) / warmup
-    return config.learning_rate * max(0.01, 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup))))
 
 
 def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> NDArray[Any]:
@@ -139,10 +133,11 @@ def train(
         load_average(network, start, Path(config.start_from))
         earlier_samples = start["samples"]
     average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.weight_decay)
+    optimizers = optimizers_for(network, config)
     if state is not None:
         average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
+        for optimizer, saved in zip(optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
     steps = math.ceil(config.samples / config.batch_size)
     run.mkdir(parents=True, exist_ok=True)
     (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
@@ -150,15 +145,15 @@ def train(
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
     for step, batch in _batches(config, category, cache, first_step, steps):
-        for group in optimizer.param_groups:
-            group["lr"] = _learning_rate(step, steps, config)
+        set_learning_rate(optimizers, step, steps, config)
         torch.manual_seed(hash((config.seed, step)))  # the gate's noise, too, depends on the step alone
         terms = page_loss(network(batch.inputs, batch.dense), batch.targets)
-        optimizer.zero_grad(set_to_none=True)
+        network.zero_grad(set_to_none=True)
         terms["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
-        optimizer.step()
-        _update_average(average, network, min(config.average_decay, (step + 1) / (step + 10)))
+        for optimizer in optimizers:
+            optimizer.step()
+        update_average(average, network, min(config.average_decay, (step + 1) / (step + 10)))
         for name, value in terms.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
         counted += 1
@@ -178,7 +173,7 @@ def train(
                 checkpoint,
                 network=network.state_dict(),
                 average=average.state_dict(),
-                optimizer=optimizer.state_dict(),
+                optimizers=[optimizer.state_dict() for optimizer in optimizers],
                 step=done,
                 samples=earlier_samples + done * config.batch_size,
                 category=json.dumps(category_document(category)),
@@ -197,13 +192,3 @@ def _require_same_run(begun: dict[str, Any], config: TrainingConfig, checkpoint:
         raise ValueError(
             f"{checkpoint}: this run was begun with other {', '.join(different)}; give those again or another --run"
         )
-
-
-@torch.no_grad()
-def _update_average(average: PageNetwork, network: PageNetwork, decay: float) -> None:
-    """Move the averaged weights towards the network's; batch-norm counters are copied."""
-    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-        if mean.dtype.is_floating_point:
-            mean.lerp_(value, 1.0 - decay)
-        else:
-            mean.copy_(value)
