@@ -137,7 +137,7 @@ def moved(distance_m: float, angle_deg: float = 0.0) -> Array:
 
 
 def errors_of(*parts: PartPose | NotSeen, visible_share: float | None = 1.0) -> list[PartError]:
-    return [e for part in parts for e in part_errors(ArticulatedPose((part,), {}), [truth(visible_share)])]
+    return [e for part in parts for e in part_errors(ArticulatedPose((part,), (), {}), [truth(visible_share)])]
 
 
 def test_a_missing_part_is_a_failure_and_leaves_the_means_of_the_others_alone() -> None:
@@ -175,4 +175,4 @@ def test_figures_that_do_not_exist_are_null_and_never_nan(errors: list[PartError
 
 def test_truth_of_other_parts_is_refused() -> None:
     with pytest.raises(ValueError, match="expected the parts base of the bundle, got lid"):
-        part_errors(ArticulatedPose((estimate(np.eye(4)),), {}), [truth(name="lid")])
+        part_errors(ArticulatedPose((estimate(np.eye(4)),), (), {}), [truth(name="lid")])

@@ -24,7 +24,7 @@ def blank(size: int = 200) -> RgbdFrame:
 
 def posed(T: Array, name: str = "base", keypoints: Array | None = None) -> ArticulatedPose:
     points = np.zeros((0, 3)) if keypoints is None else keypoints
-    return ArticulatedPose((PartPose(name, T, EXTENTS_M, points, np.zeros(3), 0.9, 0.0, 0, 1, 0.0, np.eye(6)),), {})
+    return ArticulatedPose((PartPose(name, T, EXTENTS_M, points, np.zeros(3), 0.9, 0.0, 0, 1, 0.0, np.eye(6)),), (), {})
 
 
 def at(x: float, y: float, z: float) -> Array:
@@ -57,7 +57,7 @@ def test_the_box_encloses_the_object_seen() -> None:
     truths = instance.truths
     assert truths is not None
     dark = RgbdFrame(np.zeros_like(recorded.frame.color), recorded.frame.depth_m, recorded.frame.camera)
-    picture = draw(dark, [(Instance(None, truths[:1]), ArticulatedPose((), {}))], with_truth=True)
+    picture = draw(dark, [(Instance(None, truths[:1]), ArticulatedPose((), (), {}))], with_truth=True)
     drawn = where(picture, TRUTH_COLOR)
     rows, columns = np.nonzero(masks[0])
     assert drawn[:, 0].min() <= columns.min() + 1
@@ -67,14 +67,16 @@ def test_the_box_encloses_the_object_seen() -> None:
 
 def test_truth_is_drawn_only_when_asked_for() -> None:
     truth = (PartTruth("base", at(0, 0, 1), EXTENTS_M),)
-    found = [(Instance(None, truth), ArticulatedPose((), {}))]
+    found = [(Instance(None, truth), ArticulatedPose((), (), {}))]
     assert not len(where(draw(blank(), found), TRUTH_COLOR))
     assert len(where(draw(blank(), found, with_truth=True), TRUTH_COLOR))
 
 
 def test_a_reason_is_written_and_the_frame_left_as_it_was() -> None:
     frame = blank()
-    picture = draw(frame, [(Instance((10, 60, 30, 30)), ArticulatedPose((NotSeen("base", "hidden by a hand"),), {}))])
+    picture = draw(
+        frame, [(Instance((10, 60, 30, 30)), ArticulatedPose((NotSeen("base", "hidden by a hand"),), (), {}))]
+    )
     assert len(where(picture, PART_COLORS[0]))
     assert not frame.color.any()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from torch import nn
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
+from page_training.categories import category_named
 
 KEPT = ("average", "category", "config", "step", "samples")
 
@@ -43,8 +45,8 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
     missing = set(KEPT) - (state.keys() if isinstance(state, dict) else set())
     if missing:
         raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
-    if category is not None and json.loads(state["category"]) != json.loads(json.dumps(category_document(category))):
-        name = json.loads(state["category"]).get("category")
+    if category is not None and _trained_for(state) != json.loads(json.dumps(_jointless(category_document(category)))):
+        name = _trained_for(state).get("category")
         raise ValueError(
             f"checkpoint {path}: trained for {name!r} with other parts, keypoints or sizes than {category.name!r} has "
             "now; train anew, or use the release that trained it"
@@ -53,8 +55,17 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
 
 
 def trained_category(state: dict[str, Any]) -> Category:
-    """The category a loaded checkpoint was trained for."""
-    return category_from(json.loads(state["category"]))
+    """The category a loaded checkpoint was trained for, with the joints this release gives it: no weight knows them."""
+    category = category_from(_trained_for(state))
+    return replace(category, joints=category_named(category.name).joints)
+
+
+def _trained_for(state: dict[str, Any]) -> dict[str, Any]:
+    return _jointless(json.loads(state["category"]))
+
+
+def _jointless(document: dict[str, Any]) -> dict[str, Any]:
+    return {**document, "joints": []}
 
 
 def load_average(network: nn.Module, state: dict[str, Any], path: Path) -> None:

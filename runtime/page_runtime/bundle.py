@@ -10,10 +10,10 @@ import json
 from dataclasses import dataclass, fields
 from typing import Any
 
-from page_runtime.category import Category, Joint, Part
+from page_runtime.category import Category, Joint, JointGeometry, Part
 
 METADATA_KEY = "page.bundle"
-METADATA_VERSION = 1
+METADATA_VERSION = 2
 
 
 class BundleError(ValueError):
@@ -96,8 +96,15 @@ def category_document(category: Category) -> dict[str, Any]:
             }
             for part in category.parts
         ],
-        "joints": [{f.name: getattr(joint, f.name) for f in fields(joint)} for joint in category.joints],
+        "joints": [_joint_document(joint) for joint in category.joints],
     }
+
+
+def _joint_document(joint: Joint) -> dict[str, Any]:
+    document = {f.name: getattr(joint, f.name) for f in fields(joint)}
+    if joint.geometry is not None:
+        document["geometry"] = {f.name: getattr(joint.geometry, f.name) for f in fields(joint.geometry)}
+    return document
 
 
 def category_from(document: dict[str, Any]) -> Category:
@@ -120,7 +127,8 @@ def category_from(document: dict[str, Any]) -> Category:
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
 _OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance"}
 _PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m"}
-_JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits"}
+_JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
+_GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
 
 
 def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
@@ -165,6 +173,24 @@ def _joint(entry: dict[str, Any]) -> Joint:
             kind=entry["kind"],
             axis=(x, y, z),
             limits=(low, high),
+            geometry=None if entry["geometry"] is None else _geometry(entry["geometry"]),
         )
     except (TypeError, ValueError) as error:
         raise BundleError(f"bundle metadata, joint {entry['name']!r}: {error}") from error
+
+
+def _geometry(entry: Any) -> JointGeometry:
+    closed = _closed(entry, "joint geometry", _GEOMETRY_FIELDS)
+
+    def triple(name: str) -> tuple[float, float, float]:
+        x, y, z = (float(value) for value in closed[name])
+        return x, y, z
+
+    return JointGeometry(
+        pivot_parent=triple("pivot_parent"),
+        pivot_child=triple("pivot_child"),
+        sigma_parent=triple("sigma_parent"),
+        sigma_child=triple("sigma_child"),
+        log_size_ratio=float(closed["log_size_ratio"]),
+        log_size_sigma=float(closed["log_size_sigma"]),
+    )

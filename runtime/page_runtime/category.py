@@ -47,12 +47,35 @@ class Part:
         object.__setattr__(self, "extents_unit", extents)
 
 
+@dataclass(frozen=True, slots=True)
+class JointGeometry:
+    """Where a joint is on either part and how sure that is over the category's instances.
+
+    pivot_parent, pivot_child: (3,) the joint's point at state 0, in either part's frame in fractions of its extents:
+    (0, 0.5, 0) is the middle of the +y face. sigma_parent, sigma_child: (3,) standard deviations of that, in the
+    part's diagonals along its axes. log_size_ratio, log_size_sigma: natural logarithm of the child's diagonal over the
+    parent's, mean and standard deviation.
+    """
+
+    pivot_parent: tuple[float, float, float]
+    pivot_child: tuple[float, float, float]
+    sigma_parent: tuple[float, float, float]
+    sigma_child: tuple[float, float, float]
+    log_size_ratio: float
+    log_size_sigma: float
+
+    def __post_init__(self) -> None:
+        if min(*self.sigma_parent, *self.sigma_child, self.log_size_sigma) <= 0.0:
+            raise ValueError("JointGeometry: expected standard deviations > 0; give what is exact a small one, 0.001")
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Joint:
     """How part `child` moves against part `parent` (indices into Category.parts).
 
     axis: (3,) unit vector in the parent's frame, the same in the child's at state 0; a revolute state is the angle in
-    radians by the right-hand rule, a prismatic one metres along the axis. limits: (low, high) of the state.
+    radians by the right-hand rule, a prismatic one metres along the axis. limits: (low, high) of the state. geometry:
+    None when only the axis is known.
     """
 
     name: str
@@ -61,6 +84,7 @@ class Joint:
     kind: JointKind
     axis: tuple[float, float, float]
     limits: tuple[float, float]
+    geometry: JointGeometry | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

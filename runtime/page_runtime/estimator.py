@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.articulation import PartEvidence, articulate
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Part
 from page_runtime.frame import RgbdFrame
+from page_runtime.geometry import apply
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
-from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
-from page_runtime.registration import register_part
+from page_runtime.pose import ArticulatedPose, NotSeen, PartPose, not_seen
+from page_runtime.registration import Registration, register_part
 from page_runtime.sampling import Region, RegionSample, sample_region
-from page_runtime.scoring import score_keypoints
+from page_runtime.scoring import KeypointVotes, score_keypoints
 
 MIN_PART_POINTS = 24
 MAX_VOTERS = 512
-STAGES = ("sampling", "network", "scoring", "registration")
+STAGES = ("sampling", "network", "scoring", "registration", "articulation")
 
 
 def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedPose:
@@ -32,7 +35,7 @@ def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedP
     sample = sample_for(metadata, frame, region)
     watch.stage("sampling")
     if isinstance(sample, str):
-        return ArticulatedPose(tuple(NotSeen(part.name, sample) for part in metadata.category.parts), watch.stage_ms)
+        return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
     output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
     watch.stage("network")
     return pose_from_output(metadata, sample, output, watch)
@@ -56,11 +59,18 @@ def pose_from_output(
     watch = watch or Stopwatch()
     points = sample.points_camera[: sample.num_distinct]
     labels = output.part_logits[: sample.num_distinct].argmax(axis=1)
-    parts = tuple(
-        _estimate_part(part, index, points, np.flatnonzero(labels == index), output, metadata, watch)
-        for index, part in enumerate(metadata.category.parts)
+    category = metadata.category
+    found = tuple(
+        _register(part, index, points, np.flatnonzero(labels == index), output, metadata, watch)
+        for index, part in enumerate(category.parts)
     )
-    return ArticulatedPose(parts, watch.stage_ms)
+    articulation = articulate(category, [None if isinstance(one, str) else one.evidence for one in found])
+    parts = tuple(
+        NotSeen(part.name, one) if isinstance(one, str) or evidence is None else _part_pose(part, one, evidence)
+        for part, one, evidence in zip(category.parts, found, articulation.parts, strict=True)
+    )
+    watch.stage("articulation")
+    return ArticulatedPose(parts, articulation.joints, watch.stage_ms)
 
 
 class Stopwatch:
@@ -76,7 +86,17 @@ class Stopwatch:
         self.since = now
 
 
-def _estimate_part(
+@dataclass(frozen=True, eq=False, slots=True)
+class _Found:
+    """One part by itself."""
+
+    votes: tuple[KeypointVotes, ...]
+    registration: Registration
+    evidence: PartEvidence
+    num_points: int
+
+
+def _register(
     part: Part,
     index: int,
     points_camera: NDArray[np.float32],
@@ -84,40 +104,44 @@ def _estimate_part(
     output: NetworkOutput,
     metadata: BundleMetadata,
     watch: Stopwatch,
-) -> PartPose | NotSeen:
-    """Votes, then pose, of one part from its points (`members` indexes points and outputs alike)."""
+) -> _Found | str:
+    """Votes, then pose, of one part from its points (`members` indexes points and outputs alike), or why not."""
     if len(members) < MIN_PART_POINTS:
-        return NotSeen(
-            part.name,
-            f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed",
-        )
+        return f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed"
     voters = members[:MAX_VOTERS]  # a prefix of the progressive order covers the part evenly
     voted_radii_m = output.radii_m[voters, : metadata.category.num_voted]
     votes = score_keypoints(points_camera[voters], voted_radii_m, voxel_m=metadata.voxel_m)
     watch.stage("scoring")
     extents_m = output.extents_m[index].astype(np.float64)
+    extents_unit = extents_m / np.linalg.norm(extents_m)
     registration = register_part(
         points_camera[members],
         output.radii_m[members],
         part.keypoints_unit,
         votes,
-        extents_unit=extents_m / np.linalg.norm(extents_m),
+        extents_unit=extents_unit,
         scale_range_m=part.diagonal_range_m,
         side_logits=output.side_logits[members],
     )
     watch.stage("registration")
     if isinstance(registration, str):
-        return NotSeen(part.name, registration)
+        return registration
+    evidence = PartEvidence(registration.T_camera_part, registration.scale_m, registration.covariance, extents_unit)
+    return _Found(votes, registration, evidence, len(members))
+
+
+def _part_pose(part: Part, found: _Found, evidence: PartEvidence) -> PartPose:
+    """`evidence`: of the part as its joints allow it."""
     return PartPose(
         name=part.name,
-        T_camera_part=registration.T_camera_part,
-        extents_m=extents_m * (registration.scale_m / np.linalg.norm(extents_m)),
-        keypoints_camera=registration.keypoints_camera,
-        scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in votes]),
-        confidence=registration.inlier_share,
-        runner_up_ratio=registration.runner_up_ratio,
-        vote_gap=max(vote.gap for vote in votes),
-        num_points=len(members),
-        residual_m=registration.residual_m,
-        covariance=registration.covariance[:6, :6],
+        T_camera_part=evidence.T_camera_part,
+        extents_m=evidence.extents_unit * evidence.scale_m,
+        keypoints_camera=apply(evidence.T_camera_part, evidence.scale_m * part.keypoints_unit),
+        scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in found.votes]),
+        confidence=found.registration.inlier_share,
+        runner_up_ratio=found.registration.runner_up_ratio,
+        vote_gap=max(vote.gap for vote in found.votes),
+        num_points=found.num_points,
+        residual_m=found.registration.residual_m,
+        covariance=evidence.covariance[:6, :6],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from page_runtime.category import Category, JointKind
 from page_runtime.geometry import Array
 
 
@@ -42,9 +43,37 @@ class NotSeen:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """One joint of the object. value: rad of a revolute joint, m of a prismatic one, the angle between the parts [rad]
+    of a free one; None if there is none and `reason` says why. sigma: its standard deviation, the same unit. limits:
+    those of the category."""
+
+    name: str
+    kind: JointKind
+    value: float | None
+    sigma: float | None
+    limits: tuple[float, float]
+    reason: str = ""
+
+    @property
+    def unit(self) -> str:
+        return "m" if self.kind == "prismatic" else "rad"
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class ArticulatedPose:
-    """All parts of one object in one frame, in the category's order; stage_ms: wall time by stage."""
+    """All parts and joints of one object in one frame, in the category's order; stage_ms: wall time by stage."""
 
     parts: tuple[PartPose | NotSeen, ...]
+    joints: tuple[JointState, ...]
     stage_ms: dict[str, float]
+
+
+def not_seen(category: Category, reason: str) -> ArticulatedPose:
+    """The estimate of an object nothing was computed for: every part and joint with the same reason."""
+    return ArticulatedPose(
+        tuple(NotSeen(part.name, reason) for part in category.parts),
+        tuple(JointState(joint.name, joint.kind, None, None, joint.limits, reason) for joint in category.joints),
+        {},
+    )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from page_runtime.category import Category
-from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
+from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose
 
 
 def pose_record(
@@ -17,6 +16,7 @@ def pose_record(
     if instance is not None:
         record["instance"] = instance
     record["parts"] = [_part_record(part) for part in pose.parts]
+    record["joints"] = [_joint_record(joint) for joint in pose.joints]
     record["stage_ms"] = {name: round(value, 3) for name, value in pose.stage_ms.items()}
     return record
 
@@ -41,11 +41,18 @@ def _part_record(part: PartPose | NotSeen) -> dict[str, Any]:
     }
 
 
+def _joint_record(joint: JointState) -> dict[str, Any]:
+    return {
+        "name": joint.name,
+        "kind": joint.kind,
+        "value": joint.value,
+        "sigma": joint.sigma,
+        "unit": joint.unit,
+        "limits": list(joint.limits),
+        "reason": joint.reason or None,
+    }
+
+
 def json_line(record: dict[str, Any]) -> str:
     """The record as one line; ValueError if a number in it is not finite, which no reader of JSON could take."""
     return json.dumps(record, allow_nan=False) + "\n"
-
-
-def not_seen(category: Category, reason: str) -> ArticulatedPose:
-    """The estimate of an object nothing was computed for: every part with the same reason."""
-    return ArticulatedPose(tuple(NotSeen(part.name, reason) for part in category.parts), {})

@@ -48,6 +48,35 @@ def so3_exp(rotation_vectors: FloatArray) -> FloatArray:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + second * (cross @ cross)
 
 
+def so3_log(R: FloatArray) -> FloatArray:
+    """(B, 3, 3) rotations to rotation vectors (B, 3) rad of angle in [0, pi]; at pi either sign is as good."""
+    # Of the quaternion's four squared components the largest is known best; the others follow from it by products.
+    m = R
+    trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    squares = np.stack([trace, *(2.0 * m[:, k, k] - trace for k in range(3))], axis=1)
+    products = np.empty((len(R), 4, 4))
+    products[:, range(4), range(4)] = 1.0 + squares
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        products[:, 0, k] = products[:, k, 0] = m[:, i, j] - m[:, j, i]
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        products[:, a + 1, b + 1] = products[:, b + 1, a + 1] = m[:, a, b] + m[:, b, a]
+    quaternion = products[np.arange(len(R)), squares.argmax(axis=1)]
+    quaternion = quaternion * np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    sine = np.linalg.norm(quaternion[:, 1:], axis=1)
+    half = np.arctan2(sine, quaternion[:, 0])
+    return quaternion[:, 1:] * (2.0 / np.maximum(np.sinc(half / np.pi), 1e-30))[:, None]
+
+
+def inverse_left_jacobian(turn: FloatArray) -> FloatArray:
+    """(3, 3) J of a rotation vector (3,) rad, shorter than pi: log(exp(d) exp(turn)) = turn + J d to first order."""
+    angle = float(np.linalg.norm(turn))
+    cross = skew(turn)
+    half = 0.5 * angle
+    curl = 1.0 / 12.0 if angle < 1e-4 else (1.0 - half / np.tan(half)) / angle**2
+    return np.eye(3) - 0.5 * cross + curl * (cross @ cross)
+
+
 def skew(vectors: FloatArray) -> FloatArray:
     """(..., 3) to (..., 3, 3), the matrix whose product with w is the cross product v x w."""
     matrix = np.zeros((*vectors.shape, 3))

@@ -13,10 +13,9 @@ from page_runtime.capture.playback import open_source
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
-from page_runtime.pose import ArticulatedPose
+from page_runtime.pose import ArticulatedPose, not_seen
 from page_runtime.recorded import Instance, RecordedFrame, Source
 from page_runtime.sampling import Region, check_region
-from page_runtime.schema import not_seen
 
 NO_REGION = "not seen: nothing says where the object is in this frame; pass --region"
 

@@ -1,0 +1,198 @@
+"""From the parts one by one to the object: what the joints allow, and the state of each joint (METHOD 15).
+
+Radii know each part's pose with a covariance. Joints know more: two parts on a hinge share its direction and its
+place. The most probable poses under both are found by Gauss-Newton over all parts at once, each part with seven
+degrees of freedom as in `registration`. A part well seen thereby helps its neighbour along the directions in which
+the neighbour's own radii say little, and errors do not grow along a chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.category import Category, Joint
+from page_runtime.geometry import Array, transform_from
+from page_runtime.joints import Residual, joint_residual, joint_state, opposed
+from page_runtime.pose import JointState
+from page_runtime.similarity import Similarities, inverse_left_jacobian, so3_log
+
+# Radius errors of a network are alike at neighbouring points, so the evidence is worth less than that of as many
+# independent radii: standard deviations of `Registration.covariance` times this (measured, see CONTRIBUTING).
+INFLATION = 12.0
+# Root mean square of a joint's residuals in their standard deviations above which its parts contradict each other.
+CONTRADICTION = 3.5
+_LIMIT_SIGMA = {"revolute": 0.01, "prismatic": 0.002, "free": 1.0}
+_ROUNDS = 5
+_SIZE = 7
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PartEvidence:
+    """What is known of one part. T_camera_part (4,4); scale_m its diagonal; covariance (7,7) of (rotation vector about
+    the part's origin in camera axes [rad], m, log scale); extents_unit (3,) its box in diagonals."""
+
+    T_camera_part: Array
+    scale_m: float
+    covariance: Array
+    extents_unit: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Articulation:
+    """parts: the evidence made consistent, None where there was none; covariances allow for correlated radius errors.
+    joints: of the category, in its order."""
+
+    parts: tuple[PartEvidence | None, ...]
+    joints: tuple[JointState, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Object:
+    """The K seen parts. row_of: their rows by index in the category. start: their own poses; information (7K,7K)."""
+
+    row_of: dict[int, int]
+    start: Similarities
+    information: Array
+    extents_unit: Array
+
+    def rows(self, joint: Joint) -> list[int]:
+        return [self.row_of[joint.parent], self.row_of[joint.child]]
+
+    def columns(self, joint: Joint) -> NDArray[np.intp]:
+        """(14,) columns of the two parts' steps."""
+        return (np.array(self.rows(joint))[:, None] * _SIZE + np.arange(_SIZE)).reshape(-1)
+
+    def residual(self, joint: Joint, poses: Similarities) -> Residual:
+        rows = self.rows(joint)
+        return joint_residual(joint, poses.take(np.array(rows)), self.extents_unit[rows])
+
+    def state(self, joint: Joint, poses: Similarities) -> tuple[float, Array]:
+        rows = self.rows(joint)
+        return joint_state(joint, poses.take(np.array(rows)), self.extents_unit[rows])
+
+
+def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Articulation:
+    """Poses of all parts that the joints allow, and the joints' states.
+
+    parts: in the category's order, None for one without a pose. A joint one of whose parts is missing, or whose parts
+    contradict each other, changes nothing and says why. A state beyond its limits is drawn back to them. Raises
+    ValueError for another number of parts than the category's.
+    """
+    if len(parts) != len(category.parts):
+        raise ValueError(f"parts: expected {len(category.parts)}, as the category has, got {len(parts)}")
+    seen = [(k, part) for k, part in enumerate(parts) if part is not None]
+    if not seen:
+        states = tuple(_unknown(joint, _missing(joint, category, ())) for joint in category.joints)
+        return Articulation(tuple(parts), states)
+    whole = _object([k for k, _ in seen], [part for _, part in seen])
+    reasons = {joint.name: _reason(joint, category, whole) for joint in category.joints}
+    coupling = [joint for joint in category.joints if not reasons[joint.name] and joint.kind != "free"]
+    poses, covariance = _solved(whole, coupling, ())
+    limited = tuple(joint for joint in coupling if _beyond(joint, whole.state(joint, poses)[0]))
+    if limited:
+        poses, covariance = _solved(whole, coupling, limited)
+    consistent: list[PartEvidence | None] = list(parts)
+    for k, row in whole.row_of.items():
+        own = slice(_SIZE * row, _SIZE * (row + 1))
+        consistent[k] = PartEvidence(
+            T_camera_part=transform_from(poses.R[row], poses.t[row]),
+            scale_m=float(poses.s[row]),
+            covariance=covariance[own, own],
+            extents_unit=whole.extents_unit[row],
+        )
+    states = []
+    for joint in category.joints:
+        if reasons[joint.name]:
+            states.append(_unknown(joint, reasons[joint.name]))
+            continue
+        value, derivative = whole.state(joint, poses)
+        columns = whole.columns(joint)
+        sigma = float(np.sqrt(derivative @ covariance[np.ix_(columns, columns)] @ derivative))
+        states.append(JointState(joint.name, joint.kind, value, sigma, joint.limits))
+    return Articulation(tuple(consistent), tuple(states))
+
+
+def _object(indices: Sequence[int], parts: Sequence[PartEvidence]) -> _Object:
+    transforms = np.array([part.T_camera_part for part in parts])
+    start = Similarities(transforms[:, :3, :3], transforms[:, :3, 3], np.array([part.scale_m for part in parts]))
+    information = np.zeros((_SIZE * len(parts), _SIZE * len(parts)))
+    for row, part in enumerate(parts):
+        own = slice(_SIZE * row, _SIZE * (row + 1))
+        information[own, own] = np.linalg.inv(part.covariance) / INFLATION**2
+    extents = np.array([part.extents_unit for part in parts])
+    return _Object({k: row for row, k in enumerate(indices)}, start, information, extents)
+
+
+def _missing(joint: Joint, category: Category, seen: Sequence[int]) -> str:
+    """Which of the joint's parts have no pose, or nothing."""
+    names = [category.parts[k].name for k in (joint.parent, joint.child) if k not in seen]
+    return f"{' and '.join(names)} not seen" if names else ""
+
+
+def _reason(joint: Joint, category: Category, whole: _Object) -> str:
+    """Why the joint cannot be used, or nothing."""
+    missing = _missing(joint, category, list(whole.row_of))
+    if missing or joint.kind == "free":
+        return missing
+    residual = whole.residual(joint, whole.start)
+    columns = whole.columns(joint)
+    covariance = np.linalg.inv(whole.information)[np.ix_(columns, columns)]
+    spread = residual.jacobian @ covariance @ residual.jacobian.T + np.eye(len(residual.value))
+    square = residual.value @ np.linalg.solve(spread, residual.value)
+    if opposed(joint, whole.start.take(np.array(whole.rows(joint)))) or not (
+        square <= CONTRADICTION**2 * len(residual.value)
+    ):
+        parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
+        return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
+    return ""
+
+
+def _solved(
+    whole: _Object, joints: Sequence[Joint], limited: Sequence[Joint]
+) -> tuple[Similarities, NDArray[np.float64]]:
+    """Most probable poses under radii and joints, those of `limited` held at the limit they overstep; and the
+    covariance (7K,7K) of their steps."""
+    poses, hessian = whole.start, whole.information
+    held = {joint.name: _nearest_limit(joint, whole.state(joint, poses)[0]) for joint in limited}
+    for _ in range(_ROUNDS if joints else 0):
+        offset, by_step = _offset(poses, whole.start)
+        hessian = by_step.T @ whole.information @ by_step
+        gradient = by_step.T @ whole.information @ offset
+        for joint in joints:
+            residual, columns = whole.residual(joint, poses), whole.columns(joint)
+            hessian[np.ix_(columns, columns)] += residual.jacobian.T @ residual.jacobian
+            gradient[columns] += residual.jacobian.T @ residual.value
+        for joint in limited:
+            (value, derivative), columns = whole.state(joint, poses), whole.columns(joint)
+            derivative = derivative / _LIMIT_SIGMA[joint.kind]
+            hessian[np.ix_(columns, columns)] += np.outer(derivative, derivative)
+            gradient[columns] += derivative * ((value - held[joint.name]) / _LIMIT_SIGMA[joint.kind])
+        poses = poses.moved(-np.linalg.solve(hessian, gradient).reshape(-1, _SIZE))
+    return poses, np.linalg.inv(hessian)
+
+
+def _offset(poses: Similarities, start: Similarities) -> tuple[Array, Array]:
+    """(7K,) the step that leads from `start` to `poses`, and its derivative (7K,7K) by a further step."""
+    turns = so3_log(poses.R @ start.R.transpose(0, 2, 1))
+    offset = np.concatenate([turns, poses.t - start.t, np.log(poses.s / start.s)[:, None]], axis=1)
+    by_step = np.eye(offset.size)
+    for row, turn in enumerate(turns):
+        own = slice(_SIZE * row, _SIZE * row + 3)
+        by_step[own, own] = inverse_left_jacobian(turn)
+    return offset.reshape(-1), by_step
+
+
+def _beyond(joint: Joint, value: float) -> bool:
+    return not joint.limits[0] <= value <= joint.limits[1]
+
+
+def _nearest_limit(joint: Joint, value: float) -> float:
+    return min(joint.limits, key=lambda limit: abs(value - limit))
+
+
+def _unknown(joint: Joint, reason: str) -> JointState:
+    return JointState(joint.name, joint.kind, None, None, joint.limits, reason)
