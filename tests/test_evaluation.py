@@ -129,7 +129,7 @@ def truth(visible_share: float | None = 1.0, name: str = "base") -> PartTruth:
 
 
 def estimate(T: Array, name: str = "base") -> PartPose:
-    return PartPose(name, T, truth().extents_m, np.zeros((3, 3)), np.zeros(3), 1.0, 0.0, 0, 100, 0.0, np.eye(6))
+    return PartPose(name, T, truth().extents_m, np.zeros((3, 3)), np.zeros(3), 1.0, 1.0, 0.0, 0, 100, 0.0, np.eye(6))
 
 
 def moved(distance_m: float, angle_deg: float = 0.0) -> Array:

@@ -24,7 +24,9 @@ def blank(size: int = 200) -> RgbdFrame:
 
 def posed(T: Array, name: str = "base", keypoints: Array | None = None) -> ArticulatedPose:
     points = np.zeros((0, 3)) if keypoints is None else keypoints
-    return ArticulatedPose((PartPose(name, T, EXTENTS_M, points, np.zeros(3), 0.9, 0.0, 0, 1, 0.0, np.eye(6)),), (), {})
+    return ArticulatedPose(
+        (PartPose(name, T, EXTENTS_M, points, np.zeros(3), 0.9, 0.9, 0.0, 0, 1, 0.0, np.eye(6)),), (), {}
+    )
 
 
 def at(x: float, y: float, z: float) -> Array:

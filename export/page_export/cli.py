@@ -41,6 +41,12 @@ def main(arguments: list[str] | None = None) -> int:
     verify.add_argument("--against", type=Path, required=True, metavar="CHECKPOINT")
     verify.add_argument("--data", type=Path, required=True, metavar="RECORDING")
     verify.set_defaults(run_command=_verify)
+    calibrate = commands.add_parser("calibrate", help="fit the bundle's confidence on validation recordings")
+    calibrate.add_argument("bundle", type=Path)
+    calibrate.add_argument(
+        "--on", type=Path, nargs="+", required=True, metavar="RECORDING", help="with truth, of the validation split"
+    )
+    calibrate.set_defaults(run_command=_calibrate)
     options = parser.parse_args(arguments)
     try:
         return options.run_command(options)
@@ -121,6 +127,42 @@ def _verify(options: argparse.Namespace) -> int:
 
     _, _, network = _trained(options.against)
     return _report(compare_on(Network(options.bundle), network, options.data))
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from rich.progress import track
+
+    from page_export.calibration import (
+        calibration_error,
+        cross_fitted,
+        examples_from,
+        fitted,
+        joined,
+        reliability,
+        write_confidence,
+    )
+    from page_runtime.capture.playback import open_source
+    from page_runtime.network import Network
+
+    network = Network(options.bundle)
+    collected = [
+        frame
+        for recording in options.on
+        for frame in track(
+            examples_from(network, recording), f"estimating {recording.name}", total=len(open_source(recording))
+        )
+    ]
+    examples = joined(collected)
+    model = fitted(examples)
+    bins = reliability(cross_fitted(examples), examples.right)
+    print("confidence  parts  mean  right   (each part by a fit without its fifth of the frames)")
+    for one in bins:
+        print(f"{one.low:.2f}-{one.high:.2f}  {one.count:5d}  {one.confidence:.3f}  {one.right:.3f}")
+    print(
+        f"{len(examples.right)} parts, {examples.right.mean():.3f} right, off by {calibration_error(bins):.3f} in mean"
+    )
+    write_confidence(options.bundle, network.metadata, model)
+    return 0
 
 
 if __name__ == "__main__":

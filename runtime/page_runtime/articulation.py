@@ -9,7 +9,7 @@ the neighbour's own radii say little, and errors do not grow along a chain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,17 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
         states = tuple(_unknown(joint, _missing(joint, category, ())) for joint in category.joints)
         return Articulation(tuple(parts), states)
     whole = _object([k for k, _ in seen], [part for _, part in seen])
-    reasons = {joint.name: _reason(joint, category, whole) for joint in category.joints}
+    missing = {joint.name: _missing(joint, category, list(whole.row_of)) for joint in category.joints}
+    apart = {
+        joint.name: _disagreement(joint, whole)
+        for joint in category.joints
+        if not missing[joint.name] and joint.kind != "free"
+    }
+    reasons = missing | {
+        joint.name: _contradiction(joint, category)
+        for joint in category.joints
+        if not apart.get(joint.name, 0.0) <= CONTRADICTION
+    }
     coupling = [joint for joint in category.joints if not reasons[joint.name] and joint.kind != "free"]
     poses, covariance = _solved(whole, coupling, ())
     limited = tuple(joint for joint in coupling if _beyond(joint, whole.state(joint, poses)[0]))
@@ -106,13 +116,13 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
         )
     states = []
     for joint in category.joints:
-        if reasons[joint.name]:
-            states.append(_unknown(joint, reasons[joint.name]))
-            continue
-        value, derivative = whole.state(joint, poses)
-        columns = whole.columns(joint)
-        sigma = float(np.sqrt(derivative @ covariance[np.ix_(columns, columns)] @ derivative))
-        states.append(JointState(joint.name, joint.kind, value, sigma, joint.limits))
+        state = _unknown(joint, reasons[joint.name])
+        if not state.reason:
+            value, derivative = whole.state(joint, poses)
+            columns = whole.columns(joint)
+            sigma = float(np.sqrt(derivative @ covariance[np.ix_(columns, columns)] @ derivative))
+            state = replace(state, value=value, sigma=sigma)
+        states.append(replace(state, disagreement=apart.get(joint.name)))
     return Articulation(tuple(consistent), tuple(states))
 
 
@@ -133,22 +143,21 @@ def _missing(joint: Joint, category: Category, seen: Sequence[int]) -> str:
     return f"{' and '.join(names)} not seen" if names else ""
 
 
-def _reason(joint: Joint, category: Category, whole: _Object) -> str:
-    """Why the joint cannot be used, or nothing."""
-    missing = _missing(joint, category, list(whole.row_of))
-    if missing or joint.kind == "free":
-        return missing
+def _contradiction(joint: Joint, category: Category) -> str:
+    parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
+    return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
+
+
+def _disagreement(joint: Joint, whole: _Object) -> float:
+    """How far the parts' own poses are from what the joint allows: root mean square in standard deviations of both
+    covariances and the joint's own, infinite where they see its axis in opposite directions."""
+    if opposed(joint, whole.start.take(np.array(whole.rows(joint)))):
+        return float("inf")
     residual = whole.residual(joint, whole.start)
     columns = whole.columns(joint)
     covariance = np.linalg.inv(whole.information)[np.ix_(columns, columns)]
     spread = residual.jacobian @ covariance @ residual.jacobian.T + np.eye(len(residual.value))
-    square = residual.value @ np.linalg.solve(spread, residual.value)
-    if opposed(joint, whole.start.take(np.array(whole.rows(joint)))) or not (
-        square <= CONTRADICTION**2 * len(residual.value)
-    ):
-        parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
-        return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
-    return ""
+    return float(np.sqrt(residual.value @ np.linalg.solve(spread, residual.value) / len(residual.value)))
 
 
 def _solved(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from page_runtime.category import Category, Joint, JointGeometry, Part
+from page_runtime.confidence import FEATURES, ConfidenceModel
 
 METADATA_KEY = "page.bundle"
 METADATA_VERSION = 2
@@ -25,7 +26,8 @@ class BundleMetadata:
     """What the runtime must know to feed the network and read its answer.
 
     num_points, image_size: N and S of its inputs. voxel_m: rho of the scorer. opset: of the graph.
-    provenance: facts for people (commit, recipe, frames, figures); the runtime reads none.
+    provenance: facts for people (commit, recipe, frames, figures); the runtime reads none. confidence: None until the
+    bundle is calibrated.
     """
 
     category: Category
@@ -34,6 +36,7 @@ class BundleMetadata:
     voxel_m: float
     opset: int
     provenance: dict[str, Any]
+    confidence: ConfidenceModel | None = None
 
     def __post_init__(self) -> None:
         if self.num_points <= 0 or self.image_size <= 0 or not 0 < self.voxel_m < 1:
@@ -52,6 +55,7 @@ class BundleMetadata:
             "voxel_m": self.voxel_m,
             "opset": self.opset,
             "provenance": self.provenance,
+            "confidence": None if self.confidence is None else _confidence_document(self.confidence),
         }
         return json.dumps(document, indent=1)
 
@@ -75,6 +79,7 @@ class BundleMetadata:
                 voxel_m=float(top["voxel_m"]),
                 opset=int(top["opset"]),
                 provenance=dict(top["provenance"]),
+                confidence=None if top["confidence"] is None else _confidence(top["confidence"]),
             )
         except (TypeError, ValueError) as error:
             raise BundleError(f"bundle metadata: {error}") from error
@@ -125,7 +130,7 @@ def category_from(document: dict[str, Any]) -> Category:
 
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
-_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance"}
+_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance", "confidence"}
 _PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
@@ -194,3 +199,13 @@ def _geometry(entry: Any) -> JointGeometry:
         log_size_ratio=float(closed["log_size_ratio"]),
         log_size_sigma=float(closed["log_size_sigma"]),
     )
+
+
+def _confidence_document(model: ConfidenceModel) -> dict[str, Any]:
+    return {"offset": model.offset, "weights": dict(zip(FEATURES, model.weights, strict=True))}
+
+
+def _confidence(entry: Any) -> ConfidenceModel:
+    closed = _closed(entry, "confidence", {"offset", "weights"})
+    weights = _closed(closed["weights"], "confidence weights", set(FEATURES))
+    return ConfidenceModel(tuple(float(weights[name]) for name in FEATURES), float(closed["offset"]))

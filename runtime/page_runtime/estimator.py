@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from page_runtime.articulation import PartEvidence, articulate
 from page_runtime.bundle import BundleMetadata
-from page_runtime.category import Part
+from page_runtime.category import Category, Part
+from page_runtime.confidence import ConfidenceModel, features
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import apply
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
-from page_runtime.pose import ArticulatedPose, NotSeen, PartPose, not_seen
+from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
 from page_runtime.registration import Registration, register_part
 from page_runtime.sampling import Region, RegionSample, sample_region
 from page_runtime.scoring import KeypointVotes, score_keypoints
@@ -66,8 +68,12 @@ def pose_from_output(
     )
     articulation = articulate(category, [None if isinstance(one, str) else one.evidence for one in found])
     parts = tuple(
-        NotSeen(part.name, one) if isinstance(one, str) or evidence is None else _part_pose(part, one, evidence)
-        for part, one, evidence in zip(category.parts, found, articulation.parts, strict=True)
+        NotSeen(part.name, one)
+        if isinstance(one, str) or evidence is None
+        else _with_confidence(
+            _part_pose(part, one, evidence), disagreement_of(index, category, articulation.joints), metadata.confidence
+        )
+        for index, (part, one, evidence) in enumerate(zip(category.parts, found, articulation.parts, strict=True))
     )
     watch.stage("articulation")
     return ArticulatedPose(parts, articulation.joints, watch.stage_ms)
@@ -139,9 +145,26 @@ def _part_pose(part: Part, found: _Found, evidence: PartEvidence) -> PartPose:
         keypoints_camera=apply(evidence.T_camera_part, evidence.scale_m * part.keypoints_unit),
         scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in found.votes]),
         confidence=found.registration.inlier_share,
+        inlier_share=found.registration.inlier_share,
         runner_up_ratio=found.registration.runner_up_ratio,
         vote_gap=max(vote.gap for vote in found.votes),
         num_points=found.num_points,
         residual_m=found.registration.residual_m,
         covariance=evidence.covariance[:6, :6],
     )
+
+
+def disagreement_of(index: int, category: Category, states: Sequence[JointState]) -> float:
+    """The largest disagreement of part `index`'s joints, 0 where none is known."""
+    known = [
+        state.disagreement
+        for joint, state in zip(category.joints, states, strict=True)
+        if index in (joint.parent, joint.child) and state.disagreement is not None
+    ]
+    return max(known, default=0.0)
+
+
+def _with_confidence(pose: PartPose, disagreement: float, model: ConfidenceModel | None) -> PartPose:
+    if model is None:
+        return pose
+    return replace(pose, confidence=model.probability(features(pose, disagreement)))

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from page_runtime.boxes import box_iou
+from page_runtime.category import Category
 from page_runtime.geometry import Array, rotation_angle
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import PartTruth
@@ -86,6 +87,46 @@ def _part_error(estimate: PartPose | NotSeen, truth: PartTruth) -> PartError:
         iou=box_iou(estimate.T_camera_part, estimate.extents_m, truth.T_camera_part, truth.extents_m),
         diagonal_m=diagonal_m,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class JointError:
+    """One joint of one object both of whose parts are visible. error: rad or m, of the state's size; None when the
+    estimate has no state."""
+
+    name: str
+    unit: str
+    error: float | None
+
+
+def joint_errors(category: Category, pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[JointError, ...]:
+    """The error of every joint whose parts are visible and whose true state is known."""
+    truth_of = {truth.name: truth for truth in truths}
+    found = []
+    for joint, state in zip(category.joints, pose.joints, strict=True):
+        parent, child = (truth_of[category.parts[k].name] for k in (joint.parent, joint.child))
+        if child.joint_state is None or not (is_visible(parent) and is_visible(child)):
+            continue
+        error = None if state.value is None else abs(state.value - child.joint_state)
+        if error is not None and joint.kind == "revolute":
+            error = abs((error + np.pi) % (2.0 * np.pi) - np.pi)
+        found.append(JointError(joint.name, state.unit, error))
+    return tuple(found)
+
+
+def summarise_joint(errors: Iterable[JointError], name: str) -> dict[str, Any]:
+    """The figures of joint `name` as `page-runtime validate` writes them; angles in degrees."""
+    own = [error for error in errors if error.name == name]
+    unit = own[0].unit if own else "rad"
+    known = [error.error for error in own if error.error is not None]
+    degrees = unit == "rad"
+    return {
+        "name": name,
+        "visible": len(own),
+        "missing": len(own) - len(known),
+        "unit": "deg" if degrees else "m",
+        "error": _mean_median([float(np.degrees(e)) if degrees else float(e) for e in known]),
+    }
 
 
 def summarise(errors: Iterable[PartError], name: str) -> dict[str, Any]:

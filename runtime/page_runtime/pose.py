@@ -15,7 +15,8 @@ class PartPose:
     T_camera_part: (4,4), rotation and metres. extents_m: (3,) full size of the part's box: the size head's proportions
     at the fitted scale. keypoints_camera: (n,3). scores: (n_voted,) share of the voting points at each keypoint's
     highest peak (Eq. 17), which on a flat part may be the mirror image the registration rejected. confidence: [0,1],
-    not yet calibrated: the share of radii that agree with the pose. runner_up_ratio: support of the second distinct
+    the probability that the pose is within 5 degrees and 5 cm where the bundle is calibrated (`confidence`), else
+    inlier_share, the share of radii that agree with the pose. runner_up_ratio: support of the second distinct
     pose over this one's, 1 = as good. vote_gap: 0 certifies that the peaks are the dense accumulator's; else that many
     more votes may have been missed within the scorer's budget. num_points: points behind the pose. residual_m: robust
     standard deviation of the radius residuals. covariance: (6,6) of a small rotation [rad] about the part's origin
@@ -28,6 +29,7 @@ class PartPose:
     keypoints_camera: Array
     scores: Array
     confidence: float
+    inlier_share: float
     runner_up_ratio: float
     vote_gap: int
     num_points: int
@@ -47,7 +49,8 @@ class NotSeen:
 class JointState:
     """One joint of the object. value: rad of a revolute joint, m of a prismatic one, the angle between the parts [rad]
     of a free one; None if there is none and `reason` says why. sigma: its standard deviation, the same unit. limits:
-    those of the category."""
+    those of the category. disagreement: how far the parts' own poses were from what the joint allows, root mean square
+    in standard deviations; None when a part is missing or nothing couples them."""
 
     name: str
     kind: JointKind
@@ -55,6 +58,7 @@ class JointState:
     sigma: float | None
     limits: tuple[float, float]
     reason: str = ""
+    disagreement: float | None = None
 
     @property
     def unit(self) -> str:

@@ -10,7 +10,7 @@ from page_runtime.commands.inputs import estimates, open_inputs
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, write_json
 from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
-from page_runtime.evaluation import PartError, part_errors, summarise
+from page_runtime.evaluation import JointError, PartError, joint_errors, part_errors, summarise, summarise_joint
 from page_runtime.overlay import draw
 
 HEADER = (
@@ -30,6 +30,8 @@ def validate(
     require_file_place(json, option="--json")
     require_folder_place(overlay, option="--overlay")
     errors: list[PartError] = []
+    joints: list[JointError] = []
+    category = inputs.network.metadata.category
     instances = 0
     with (
         overlay_output(overlay) as pictures,
@@ -39,18 +41,19 @@ def validate(
             for instance, pose in found:
                 if instance.truths is not None:
                     errors.extend(part_errors(pose, instance.truths))
+                    joints.extend(joint_errors(category, pose, instance.truths))
                     instances += 1
             if pictures is not None:
                 pictures.add(recorded.frame.index, draw(recorded.frame, found, with_truth=True))
             progress.advance()
-    names = [part.name for part in inputs.network.metadata.category.parts]
     document = {
         "recording": recording.name,
         "bundle": bundle.name,
-        "category": inputs.network.metadata.category.name,
+        "category": category.name,
         "frames": len(inputs.source),
         "instances": instances,
-        "parts": [summarise(errors, name) for name in names],
+        "parts": [summarise(errors, part.name) for part in category.parts],
+        "joints": [summarise_joint(joints, joint.name) for joint in category.joints],
     }
     if json is not None:
         write_json(json, document)
@@ -66,7 +69,15 @@ def readable(document: dict[str, Any]) -> str:
         "rotation, translation: over visible parts that have a pose; the rest: over all visible parts\n"
         "failure: no pose, or worse than 30 deg or half the part's diagonal\n"
     )
-    return f"{title}\n{table(HEADER, rows)}{notes}"
+    states = "".join(_joint_line(joint) for joint in document["joints"])
+    return f"{title}\n{table(HEADER, rows)}{states}{notes}"
+
+
+def _joint_line(joint: dict[str, Any]) -> str:
+    times, unit = (1.0, "deg") if joint["unit"] == "deg" else (1e3, "mm")
+    mean, median = (number(_times(joint["error"][name], times), 2) for name in ("mean", "median"))
+    counts = f"{joint['visible']} visible, {joint['missing']} without a state"
+    return f"joint {joint['name']}: state wrong by {mean} {unit} in the mean, {median} in the median ({counts})\n"
 
 
 def _row(part: dict[str, Any]) -> tuple[str, ...]:
