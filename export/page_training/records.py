@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 
 # Raise it with every change to scenes, sensor or sampling: frames of different versions must not mix.
-SCENES_VERSION = 2
+SCENES_VERSION = 3
 NEIGHBOUR_TABLES = ("group1", "group2", "group3", "up1", "up2", "up3")
 IMAGE_SIZE = 224
 SHARD_SIZE = 256

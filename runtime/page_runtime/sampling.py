@@ -20,6 +20,7 @@ Region = tuple[int, int, int, int]
 
 REGION_MARGIN = 0.1
 MIN_POINTS = 64
+NEAR_SHARE = 0.15
 MAX_REGION_SIDES = 4
 GRID_STEP = 16
 
@@ -110,8 +111,10 @@ def sample_region(
     """Sample `num_points` visible points of `region` (x, y, w, h px), or say why there are none.
 
     Depth is read, never interpolated: each point is a real reading at its own pixel. Readings farther than `radius_m`
-    from the region's centre (its central ray at the median depth of its central half) are background by distance.
-    `margin` widens the region as square_region says.
+    from the region's centre are background by distance: its central ray at the median depth of its central half, or,
+    where that lies more than `radius_m` behind what fills NEAR_SHARE of the region, at the depth of this nearer thing:
+    a box around an open laptop seen from the side holds more wall than laptop. `margin` widens the region as
+    square_region says.
     """
     check_region(region, frame.camera.width, frame.camera.height)
     square = square_region(region, margin)
@@ -133,7 +136,10 @@ def sample_region(
     pixels = np.stack([u, v], axis=-1)[valid].astype(np.float32)
     points = frame.camera.backproject(pixels, depth[valid]).astype(np.float32)
     middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
-    anchor = frame.camera.backproject(middle, np.asarray(np.median(central_depth)))
+    anchor_depth, near_depth = np.median(central_depth), np.quantile(depth[valid], NEAR_SHARE)
+    if anchor_depth - near_depth > radius_m:
+        anchor_depth = near_depth
+    anchor = frame.camera.backproject(middle, np.asarray(anchor_depth))
     near = np.flatnonzero(((points - anchor.astype(np.float32)) ** 2).sum(axis=1) < radius_m**2)[:num_points]
     if len(near) < MIN_POINTS:
         return (
