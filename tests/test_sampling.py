@@ -61,13 +61,13 @@ def test_background_by_distance_is_left_out_and_the_object_kept() -> None:
 
 
 def test_a_thin_object_before_a_far_wall_is_what_is_sampled() -> None:
-    """An upright lid seen from the side: a fifth of its own box, the rest wall."""
+    """An upright lid seen from the side: a third of its own box, the rest wall."""
     depth = np.full((480, 640), 3.0)
-    depth[150:330, 200:248] = 1.0
+    depth[150:330, 200:280] = 1.0
     sample = sampled(depth)
     assert isinstance(sample, RegionSample)
     assert set(sample.points_camera[:, 2].tolist()) == {1.0}
-    depth[150:330, 200:248] = 2.5  # within reach of the wall: then the wall stays
+    depth[150:330, 200:280] = 2.5  # within reach of the wall: then the wall stays
     sample = sampled(depth)
     assert isinstance(sample, RegionSample)
     assert {2.5, 3.0} == set(sample.points_camera[:, 2].tolist())
