@@ -174,12 +174,12 @@ def test_a_missing_part_silences_its_joints_only() -> None:
     truth = posed(category, [0.5, 0.6, 0.7], random_pose(np.random.default_rng(7)))
     parts = [evidence(T, SIGMAS) for T in truth]
     found = articulate(category, [parts[0], parts[1], None, parts[3]])
-    assert [joint.reason for joint in found.joints] == ["", "2 not seen", "2 not seen"]
+    assert [joint.reason for joint in found.joints] == ["", "no pose of 2", "no pose of 2"]
     assert found.joints[0].value == pytest.approx(0.5, abs=1e-6)
     assert found.parts[2] is None
     nothing = articulate(category, [None] * 4)
     assert nothing.parts == (None,) * 4
-    assert all("not seen" in joint.reason for joint in nothing.joints)
+    assert all("no pose of" in joint.reason for joint in nothing.joints)
 
 
 def test_a_free_joint_and_one_of_unknown_place_couple_only_what_they_know() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from page_runtime.geometry import rotation_angle
-from page_runtime.registration import Registration, register_part
+from page_runtime.registration import Ambiguous, Registration, register_part
 from page_runtime.scoring import KeypointVotes, score_keypoints
 from page_runtime.similarity import skew, so3_exp, umeyama
 from synthetic_parts import (
@@ -36,12 +36,12 @@ def registered(part: SyntheticPart, votes: tuple[KeypointVotes, ...] | None = No
     )
 
 
-def pose_of(result: Registration | str) -> Registration:
+def pose_of(result: Registration | Ambiguous | str) -> Registration:
     assert isinstance(result, Registration), result
     return result
 
 
-def reason_of(result: Registration | str) -> str:
+def reason_of(result: Registration | Ambiguous | str) -> str:
     assert isinstance(result, str), result
     return result
 
@@ -125,9 +125,10 @@ def test_with_three_keypoints_the_sides_decide_and_without_them_it_is_ambiguous(
         opposite = pose_of(registered(part, votes, side_logits=-3.0 * part.sides))
         assert errors(opposite, part)[0] > 30.0
         for undecided in (None, np.zeros_like(part.sides), np.full_like(part.sides, np.nan)):
-            reason = registered(part, votes, side_logits=undecided)
-            assert isinstance(reason, str)
-            assert reason.startswith("ambiguous")
+            result = registered(part, votes, side_logits=undecided)
+            assert isinstance(result, Ambiguous)
+            assert result.reason.startswith("ambiguous")
+            assert min(errors(pose, part)[0] for pose in result.poses) < 2.0
 
 
 def test_with_three_keypoints_off_the_symmetry_planes_the_box_decides() -> None:
@@ -243,7 +244,7 @@ def test_radii_that_fit_no_triangle_have_a_reason_or_show_in_the_inliers() -> No
         rng = np.random.default_rng(seed)
         nonsense = replace(part, radii_m=rng.uniform(0.0, 2.0, part.radii_m.shape).astype(np.float32))
         result = registered(nonsense)
-        assert isinstance(result, str) or result.residual_m > 0.005
+        assert not isinstance(result, Registration) or result.residual_m > 0.005
         for radii in (np.full_like(part.radii_m, np.nan), np.zeros_like(part.radii_m)):
             assert "no combination of keypoint modes" in reason_of(registered(replace(part, radii_m=radii)))
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.capture.playback import open_source
-from page_runtime.confidence import RIGHT_ROTATION_RAD, RIGHT_TRANSLATION_M, ConfidenceModel, features
-from page_runtime.estimator import disagreement_of, estimate
+from page_runtime.confidence import FEATURES, RIGHT_ROTATION_RAD, RIGHT_TRANSLATION_M, ConfidenceModel, features
+from page_runtime.estimator import estimate
 from page_runtime.evaluation import part_errors
 from page_runtime.network import Network
 from page_runtime.pose import PartPose
@@ -40,7 +40,6 @@ def examples_from(network: Network, recording: Path) -> Iterator[Examples]:
     source = open_source(recording)
     if not source.has_truth:
         raise ValueError(f"{recording}: expected a recording with true poses, got {source.format} without")
-    category = network.metadata.category
     for recorded in source:
         rows, right, confidence = [], [], []
         for instance in recorded.instances:
@@ -51,12 +50,12 @@ def examples_from(network: Network, recording: Path) -> Iterator[Examples]:
                 error.name: error.within(RIGHT_ROTATION_RAD, RIGHT_TRANSLATION_M)
                 for error in part_errors(pose, instance.truths)
             }
-            for index, part in enumerate(pose.parts):
+            for part in pose.parts:
                 if isinstance(part, PartPose) and part.name in hits:
-                    rows.append(features(part, disagreement_of(index, category, pose.joints)))
+                    rows.append(features(part))
                     right.append(hits[part.name])
                     confidence.append(part.confidence)
-        yield Examples(np.array(rows).reshape(len(rows), -1), np.array(right, bool), np.array(confidence))
+        yield Examples(np.array(rows).reshape(len(rows), len(FEATURES)), np.array(right, bool), np.array(confidence))
 
 
 def joined(examples: list[Examples]) -> Examples:

@@ -91,7 +91,7 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
     whole = _object([k for k, _ in seen], [part for _, part in seen])
     missing = {joint.name: _missing(joint, category, list(whole.row_of)) for joint in category.joints}
     apart = {
-        joint.name: _disagreement(joint, whole)
+        joint.name: joint_disagreement(joint, *(_given(parts[k]) for k in (joint.parent, joint.child)))[0]
         for joint in category.joints
         if not missing[joint.name] and joint.kind != "free"
     }
@@ -126,38 +126,62 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
     return Articulation(tuple(consistent), tuple(states))
 
 
-def _object(indices: Sequence[int], parts: Sequence[PartEvidence]) -> _Object:
+def joint_disagreement(joint: Joint, parent: PartEvidence, child: PartEvidence) -> tuple[float, int]:
+    """How far two parts' own poses are from what their joint allows: root mean square in standard deviations of both
+    covariances and the joint's own, infinite where they see its axis in opposite directions; and of how many
+    numbers."""
+    pair = _similarities((parent, child))
+    residual = joint_residual(joint, pair, np.array([parent.extents_unit, child.extents_unit]))
+    number = len(residual.value)
+    if opposed(joint, pair):
+        return float("inf"), number
+    by_parent, by_child = residual.jacobian[:, :_SIZE], residual.jacobian[:, _SIZE:]
+    own = by_parent @ parent.covariance @ by_parent.T + by_child @ child.covariance @ by_child.T
+    spread = INFLATION**2 * own + np.eye(number)
+    return float(np.sqrt(residual.value @ np.linalg.solve(spread, residual.value) / number)), number
+
+
+def limit_excess(joint: Joint, parent: PartEvidence, child: PartEvidence) -> float:
+    """How far the state of two parts' own poses lies beyond the joint's limits, in standard deviations of both
+    covariances and of what a limit is sure to; 0 within them."""
+    value, derivative = joint_state(
+        joint, _similarities((parent, child)), np.array([parent.extents_unit, child.extents_unit])
+    )
+    if not _beyond(joint, value):
+        return 0.0
+    by_parent, by_child = derivative[:_SIZE], derivative[_SIZE:]
+    variance = INFLATION**2 * (by_parent @ parent.covariance @ by_parent + by_child @ child.covariance @ by_child)
+    return abs(value - _nearest_limit(joint, value)) / float(np.sqrt(variance + _LIMIT_SIGMA[joint.kind] ** 2))
+
+
+def _given(part: PartEvidence | None) -> PartEvidence:
+    assert part is not None
+    return part
+
+
+def _similarities(parts: Sequence[PartEvidence]) -> Similarities:
     transforms = np.array([part.T_camera_part for part in parts])
-    start = Similarities(transforms[:, :3, :3], transforms[:, :3, 3], np.array([part.scale_m for part in parts]))
+    return Similarities(transforms[:, :3, :3], transforms[:, :3, 3], np.array([part.scale_m for part in parts]))
+
+
+def _object(indices: Sequence[int], parts: Sequence[PartEvidence]) -> _Object:
     information = np.zeros((_SIZE * len(parts), _SIZE * len(parts)))
     for row, part in enumerate(parts):
         own = slice(_SIZE * row, _SIZE * (row + 1))
         information[own, own] = np.linalg.inv(part.covariance) / INFLATION**2
     extents = np.array([part.extents_unit for part in parts])
-    return _Object({k: row for row, k in enumerate(indices)}, start, information, extents)
+    return _Object({k: row for row, k in enumerate(indices)}, _similarities(parts), information, extents)
 
 
 def _missing(joint: Joint, category: Category, seen: Sequence[int]) -> str:
     """Which of the joint's parts have no pose, or nothing."""
     names = [category.parts[k].name for k in (joint.parent, joint.child) if k not in seen]
-    return f"{' and '.join(names)} not seen" if names else ""
+    return f"no pose of {' and '.join(names)}" if names else ""
 
 
 def _contradiction(joint: Joint, category: Category) -> str:
     parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
     return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
-
-
-def _disagreement(joint: Joint, whole: _Object) -> float:
-    """How far the parts' own poses are from what the joint allows: root mean square in standard deviations of both
-    covariances and the joint's own, infinite where they see its axis in opposite directions."""
-    if opposed(joint, whole.start.take(np.array(whole.rows(joint)))):
-        return float("inf")
-    residual = whole.residual(joint, whole.start)
-    columns = whole.columns(joint)
-    covariance = np.linalg.inv(whole.information)[np.ix_(columns, columns)]
-    spread = residual.jacobian @ covariance @ residual.jacobian.T + np.eye(len(residual.value))
-    return float(np.sqrt(residual.value @ np.linalg.solve(spread, residual.value) / len(residual.value)))
 
 
 def _solved(

@@ -43,8 +43,8 @@ class ConfidenceModel:
         return float(1.0 / (1.0 + np.exp(-np.clip(self.offset + np.dot(self.weights, features), -30.0, 30.0))))
 
 
-def features(part: PartPose, disagreement: float) -> Array:
-    """(F,) signs of trouble of one part, unitless. disagreement: the largest of the part's joints, 0 without any."""
+def features(part: PartPose) -> Array:
+    """(F,) signs of trouble of one part, unitless."""
     diagonal_m = float(np.linalg.norm(part.extents_m))
     variances = np.diagonal(part.covariance)
     return np.array([
@@ -55,5 +55,5 @@ def features(part: PartPose, disagreement: float) -> Array:
         part.runner_up_ratio,
         float(part.scores.mean()),
         np.log(part.num_points),
-        np.log1p(min(disagreement, _MAX_DISAGREEMENT)),
+        np.log1p(min(part.disagreement, _MAX_DISAGREEMENT)),
     ])  # fmt: skip

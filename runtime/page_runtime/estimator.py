@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.alternatives import settle
 from page_runtime.articulation import PartEvidence, articulate
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category, Part
@@ -18,7 +19,7 @@ from page_runtime.geometry import apply
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
-from page_runtime.registration import Registration, register_part
+from page_runtime.registration import Ambiguous, Registration, register_part
 from page_runtime.sampling import Region, RegionSample, sample_region
 from page_runtime.scoring import KeypointVotes, score_keypoints
 
@@ -66,17 +67,20 @@ def pose_from_output(
         _register(part, index, points, np.flatnonzero(labels == index), output, metadata, watch)
         for index, part in enumerate(category.parts)
     )
-    articulation = articulate(category, [None if isinstance(one, str) else one.evidence for one in found])
-    parts = tuple(
-        NotSeen(part.name, one)
-        if isinstance(one, str) or evidence is None
-        else _with_confidence(
-            _part_pose(part, one, evidence), disagreement_of(index, category, articulation.joints), metadata.confidence
-        )
-        for index, (part, one, evidence) in enumerate(zip(category.parts, found, articulation.parts, strict=True))
-    )
+    settled = settle(category, [() if isinstance(one, str) else one.evidence for one in found])
+    taken = [one.evidence if one is not None and one.decided else None for one in settled]
+    articulation = articulate(category, taken)
+    parts: list[PartPose | NotSeen] = []
+    for index, (part, one, choice) in enumerate(zip(category.parts, found, settled, strict=True)):
+        evidence = articulation.parts[index]
+        if isinstance(one, str) or choice is None or evidence is None:
+            parts.append(NotSeen(part.name, one if isinstance(one, str) else one.ambiguity))
+            continue
+        disagreement = float("inf") if choice.turned else _disagreement(index, category, articulation.joints)
+        pose = _part_pose(part, one, one.registrations[choice.index], evidence, disagreement)
+        parts.append(_with_confidence(pose, metadata.confidence))
     watch.stage("articulation")
-    return ArticulatedPose(parts, articulation.joints, watch.stage_ms)
+    return ArticulatedPose(tuple(parts), articulation.joints, watch.stage_ms)
 
 
 class Stopwatch:
@@ -94,11 +98,12 @@ class Stopwatch:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """One part by itself."""
+    """One part by itself: one registration, or two and why neither is the one; evidence of each."""
 
     votes: tuple[KeypointVotes, ...]
-    registration: Registration
-    evidence: PartEvidence
+    registrations: tuple[Registration, ...]
+    evidence: tuple[PartEvidence, ...]
+    ambiguity: str
     num_points: int
 
 
@@ -132,30 +137,36 @@ def _register(
     watch.stage("registration")
     if isinstance(registration, str):
         return registration
-    evidence = PartEvidence(registration.T_camera_part, registration.scale_m, registration.covariance, extents_unit)
-    return _Found(votes, registration, evidence, len(members))
+    poses, ambiguity = (
+        (registration.poses, registration.reason) if isinstance(registration, Ambiguous) else ((registration,), "")
+    )
+    evidence = tuple(PartEvidence(pose.T_camera_part, pose.scale_m, pose.covariance, extents_unit) for pose in poses)
+    return _Found(votes, poses, evidence, ambiguity, len(members))
 
 
-def _part_pose(part: Part, found: _Found, evidence: PartEvidence) -> PartPose:
-    """`evidence`: of the part as its joints allow it."""
+def _part_pose(
+    part: Part, found: _Found, registration: Registration, evidence: PartEvidence, disagreement: float
+) -> PartPose:
+    """`registration`: the one taken; `evidence`: of the part as its joints allow it."""
     return PartPose(
         name=part.name,
         T_camera_part=evidence.T_camera_part,
         extents_m=evidence.extents_unit * evidence.scale_m,
         keypoints_camera=apply(evidence.T_camera_part, evidence.scale_m * part.keypoints_unit),
         scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in found.votes]),
-        confidence=found.registration.inlier_share,
-        inlier_share=found.registration.inlier_share,
-        runner_up_ratio=found.registration.runner_up_ratio,
+        confidence=registration.inlier_share,
+        inlier_share=registration.inlier_share,
+        runner_up_ratio=registration.runner_up_ratio,
         vote_gap=max(vote.gap for vote in found.votes),
         num_points=found.num_points,
-        residual_m=found.registration.residual_m,
+        residual_m=registration.residual_m,
         covariance=evidence.covariance[:6, :6],
+        disagreement=disagreement,
     )
 
 
-def disagreement_of(index: int, category: Category, states: Sequence[JointState]) -> float:
-    """The largest disagreement of part `index`'s joints, 0 where none is known."""
+def _disagreement(index: int, category: Category, states: Sequence[JointState]) -> float:
+    """The largest of part `index`'s joints, 0 where none is known."""
     known = [
         state.disagreement
         for joint, state in zip(category.joints, states, strict=True)
@@ -164,7 +175,5 @@ def disagreement_of(index: int, category: Category, states: Sequence[JointState]
     return max(known, default=0.0)
 
 
-def _with_confidence(pose: PartPose, disagreement: float, model: ConfidenceModel | None) -> PartPose:
-    if model is None:
-        return pose
-    return replace(pose, confidence=model.probability(features(pose, disagreement)))
+def _with_confidence(pose: PartPose, model: ConfidenceModel | None) -> PartPose:
+    return pose if model is None else replace(pose, confidence=model.probability(features(pose)))

@@ -20,7 +20,9 @@ class PartPose:
     pose over this one's, 1 = as good. vote_gap: 0 certifies that the peaks are the dense accumulator's; else that many
     more votes may have been missed within the scorer's budget. num_points: points behind the pose. residual_m: robust
     standard deviation of the radius residuals. covariance: (6,6) of a small rotation [rad] about the part's origin
-    and a translation [m], both in camera axes.
+    and a translation [m], both in camera axes. disagreement: how far its joints' other parts were from what the joints
+    allow, root mean square in standard deviations, the largest of its joints; 0 without any, infinite where the pose
+    is a half turn of the part's own.
     """
 
     name: str
@@ -35,6 +37,7 @@ class PartPose:
     num_points: int
     residual_m: float
     covariance: Array
+    disagreement: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

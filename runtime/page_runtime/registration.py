@@ -58,6 +58,15 @@ class Registration:
     keypoints_camera: FloatArray
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Ambiguous:
+    """Two poses between which neither radii, box nor sides decide, the better supported first. The object's joints
+    may."""
+
+    poses: tuple[Registration, Registration]
+    reason: str
+
+
 def register_part(
     points_camera: NDArray[np.floating],
     radii_m: NDArray[np.floating],
@@ -67,8 +76,8 @@ def register_part(
     extents_unit: NDArray[np.floating],
     scale_range_m: tuple[float, float],
     side_logits: NDArray[np.floating] | None = None,
-) -> Registration | str:
-    """Pose and scale of one part, or the reason why there is none.
+) -> Registration | Ambiguous | str:
+    """Pose and scale of one part, two that are as good as each other, or the reason why there is none.
 
     points_camera: (N, 3) m; radii_m: (N, n) m, to all n keypoints, n >= 3; keypoints_unit: (n, 3), in the
     part's canonical frame in units of its diagonal; votes: of the first len(votes) keypoints, from
@@ -85,9 +94,8 @@ def register_part(
        part's box x agreement of the sides. The best distinct poses are refined by Gauss-Newton over
        rotation, translation and log scale on all radii, and the best supported is returned.
 
-    A runner-up with over AMBIGUOUS_RATIO of its support means that neither radii, box nor sides decide: the
-    reason then starts with "ambiguous". Points and radii that are not finite do not count. Raises
-    ValueError for wrong shapes.
+    A runner-up with over AMBIGUOUS_RATIO of its support makes the answer ambiguous. Points and radii that are not
+    finite do not count. Raises ValueError for wrong shapes.
     """
     points, radii, kappa = _checked(
         points_camera, radii_m, keypoints_unit, len(votes), extents_unit, scale_range_m, side_logits
@@ -118,12 +126,16 @@ def register_part(
     support = _support(poses, evidence)
     order = _distinct_best(poses, support, kappa)
     ratio = float(support[order[1]] / max(support[order[0]], 1e-12)) if len(order) > 1 else 0.0
-    if ratio > AMBIGUOUS_RATIO:
-        return f"ambiguous: another pose has {ratio:.3f} of this one's support, and neither box nor sides decide"
     best = _refined(poses.take(order[:1]), evidence, _FINE_GATES)
     if not low <= best.s[0] <= high:
         return f"the refined scale {best.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
-    return _registration(best, evidence, ratio)
+    if ratio <= AMBIGUOUS_RATIO:
+        return _registration(best, evidence, ratio)
+    rival = _refined(poses.take(order[1:2]), evidence, _FINE_GATES)
+    return Ambiguous(
+        (_registration(best, evidence, ratio), _registration(rival, evidence, 1.0)),
+        f"ambiguous: another pose has {ratio:.3f} of this one's support, and neither box nor sides decide",
+    )
 
 
 def _checked(

@@ -1,0 +1,87 @@
+"""Which pose the joints allow: a half turn is undone, a mirrored pair decided, and nothing touched that is in order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from page_runtime.alternatives import settle
+from page_runtime.articulation import PartEvidence, articulate
+from page_runtime.geometry import Array
+from test_articulation import SIGMAS, chain, evidence, posed, random_pose
+
+HALF_TURNS = [np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]
+
+
+def turned(part: PartEvidence, turn: Array) -> PartEvidence:
+    T = part.T_camera_part.copy()
+    T[:3, :3] = T[:3, :3] @ turn
+    return replace(part, T_camera_part=T)
+
+
+def hinged(seed: int) -> tuple[list[PartEvidence], float]:
+    """Two parts with noise, and their true state."""
+    rng = np.random.default_rng(seed)
+    state = float(rng.uniform(0.6, 2.4))
+    truth = posed(chain(("revolute",)), [state], random_pose(rng))
+    return [evidence(T, SIGMAS, rng.normal(size=7) * SIGMAS * 0.5) for T in truth], state
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_parts_in_order_are_left_alone(seed: int) -> None:
+    parts, _ = hinged(seed)
+    for settled, part in zip(settle(chain(("revolute",)), [[part] for part in parts]), parts, strict=True):
+        assert settled is not None
+        assert settled.evidence is part
+        assert (settled.index, settled.turned, settled.decided) == (0, False, True)
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+@pytest.mark.parametrize("turn", [1, 2])  # about y or z: the hinge then lies on the other side
+def test_a_part_taken_for_its_half_turn_is_turned_back(wrong: int, turn: int) -> None:
+    category = chain(("revolute",))
+    for seed in range(10):
+        parts, state = hinged(seed)
+        given_ = [turned(part, HALF_TURNS[turn]) if k == wrong else part for k, part in enumerate(parts)]
+        found = settle(category, [[part] for part in given_])
+        assert all(one is not None for one in found)
+        assert [one.turned for one in found if one is not None] == [k == wrong for k in range(2)]
+        joined = articulate(category, [one.evidence for one in found if one is not None])
+        assert joined.joints[0].value == pytest.approx(state, abs=0.5)
+
+
+def test_of_two_poses_the_joint_decides() -> None:
+    category = chain(("revolute",))
+    for seed in range(10):
+        parts, _ = hinged(seed)
+        mirrored = turned(parts[1], HALF_TURNS[2])
+        for first, second, expected in ((parts[1], mirrored, 0), (mirrored, parts[1], 1)):
+            found = settle(category, [[parts[0]], [first, second]])[1]
+            assert found is not None
+            assert (found.index, found.turned, found.decided) == (expected, False, True)
+
+
+def test_without_a_joint_to_ask_two_poses_stay_undecided() -> None:
+    parts, _ = hinged(0)
+    both = [parts[1], turned(parts[1], HALF_TURNS[2])]
+    for category, poses in ((chain(("free",)), [[parts[0]], both]), (chain(("revolute",)), [[], both])):
+        found = settle(category, poses)
+        assert found[1] is not None
+        assert not found[1].decided
+    assert settle(chain(("revolute",)), [[], both])[0] is None
+
+
+def test_along_a_chain_the_one_wrong_part_is_found() -> None:
+    category = chain(("revolute",) * 4)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        truth = posed(category, [float(s) for s in rng.uniform(0.6, 2.0, 4)], random_pose(rng))
+        parts = [evidence(T, SIGMAS, rng.normal(size=7) * SIGMAS * 0.5) for T in truth]
+        parts[2] = turned(parts[2], HALF_TURNS[2])
+        found = settle(category, [[part] for part in parts])
+        assert [one.turned for one in found if one is not None] == [False, False, True, False, False]
