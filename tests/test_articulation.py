@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from page_runtime.articulation import INFLATION, Articulation, PartEvidence, articulate
+from page_runtime.articulation import Articulation, PartEvidence, articulate
 from page_runtime.category import Category, Joint, JointGeometry, JointKind, Part
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
 from page_runtime.joints import joint_residual, joint_state
@@ -53,10 +53,10 @@ def posed(category: Category, states: list[float], T_camera_root: Array) -> list
 
 
 def evidence(T: Array, sigmas: Array, noise: Array | None = None) -> PartEvidence:
-    """A part's own pose, wrong by `noise` (7,); sigmas (7,) are those of single-part covariance, inflated."""
+    """A part's own pose, wrong by `noise` (7,); sigmas (7,) are those of its covariance."""
     step = np.zeros(7) if noise is None else noise
     moved = Similarities(T[None, :3, :3], T[None, :3, 3], np.array([SIZE_M])).moved(step[None])
-    covariance = np.diag((sigmas / INFLATION) ** 2)
+    covariance = np.diag(sigmas**2)
     return PartEvidence(transform_from(moved.R[0], moved.t[0]), float(moved.s[0]), covariance, EXTENTS)
 
 

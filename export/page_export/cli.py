@@ -100,6 +100,7 @@ def _onnx(options: argparse.Namespace) -> int:
     from page_export.onnx_export import graph_of, write_bundle
     from page_export.parity import compare_on
     from page_runtime.network import Network
+    from page_training.templates import with_templates
 
     state, category, network = _trained(options.checkpoint)
     provenance: dict[str, Any] = {
@@ -109,6 +110,7 @@ def _onnx(options: argparse.Namespace) -> int:
         "training": json.loads(state["config"]),
         "note": options.note,
     }
+    category = with_templates(category)
     model = graph_of(network)
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.onnx"

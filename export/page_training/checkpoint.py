@@ -45,7 +45,7 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
     missing = set(KEPT) - (state.keys() if isinstance(state, dict) else set())
     if missing:
         raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
-    if category is not None and _trained_for(state) != json.loads(json.dumps(_jointless(category_document(category)))):
+    if category is not None and _trained_for(state) != json.loads(json.dumps(_as_trained(category_document(category)))):
         name = _trained_for(state).get("category")
         raise ValueError(
             f"checkpoint {path}: trained for {name!r} with other parts, keypoints or sizes than {category.name!r} has "
@@ -55,17 +55,18 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
 
 
 def trained_category(state: dict[str, Any]) -> Category:
-    """The category a loaded checkpoint was trained for, with the joints this release gives it: no weight knows them."""
+    """The category a loaded checkpoint was trained for, with the joints this release gives it and no templates."""
     category = category_from(_trained_for(state))
     return replace(category, joints=category_named(category.name).joints)
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:
-    return _jointless(json.loads(state["category"]))
+    return _as_trained(json.loads(state["category"]))
 
 
-def _jointless(document: dict[str, Any]) -> dict[str, Any]:
-    return {**document, "joints": []}
+def _as_trained(document: dict[str, Any]) -> dict[str, Any]:
+    """Without joints and templates, which no weight knows of."""
+    return {**document, "joints": [], "parts": [{**part, "template": None} for part in document["parts"]]}
 
 
 def load_average(network: nn.Module, state: dict[str, Any], path: Path) -> None:

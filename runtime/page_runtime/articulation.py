@@ -20,9 +20,6 @@ from page_runtime.joints import Residual, joint_residual, joint_state, opposed
 from page_runtime.pose import JointState
 from page_runtime.similarity import Similarities, inverse_left_jacobian, so3_log
 
-# Radius errors of a network are alike at neighbouring points, so the evidence is worth less than that of as many
-# independent radii: standard deviations of `Registration.covariance` times this (measured, see CONTRIBUTING).
-INFLATION = 12.0
 # Root mean square of a joint's residuals in their standard deviations above which its parts contradict each other.
 CONTRADICTION = 3.5
 _LIMIT_SIGMA = {"revolute": 0.01, "prismatic": 0.002, "free": 1.0}
@@ -33,7 +30,8 @@ _SIZE = 7
 @dataclass(frozen=True, eq=False, slots=True)
 class PartEvidence:
     """What is known of one part. T_camera_part (4,4); scale_m its diagonal; covariance (7,7) of (rotation vector about
-    the part's origin in camera axes [rad], m, log scale); extents_unit (3,) its box in diagonals."""
+    the part's origin in camera axes [rad], m, log scale), as honest as can be (`uncertainty`); extents_unit (3,) its
+    box in diagonals."""
 
     T_camera_part: Array
     scale_m: float
@@ -43,8 +41,8 @@ class PartEvidence:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Articulation:
-    """parts: the evidence made consistent, None where there was none; covariances allow for correlated radius errors.
-    joints: of the category, in its order."""
+    """parts: the evidence made consistent, None where there was none. joints: of the
+    category, in its order."""
 
     parts: tuple[PartEvidence | None, ...]
     joints: tuple[JointState, ...]
@@ -136,8 +134,7 @@ def joint_disagreement(joint: Joint, parent: PartEvidence, child: PartEvidence) 
     if opposed(joint, pair):
         return float("inf"), number
     by_parent, by_child = residual.jacobian[:, :_SIZE], residual.jacobian[:, _SIZE:]
-    own = by_parent @ parent.covariance @ by_parent.T + by_child @ child.covariance @ by_child.T
-    spread = INFLATION**2 * own + np.eye(number)
+    spread = by_parent @ parent.covariance @ by_parent.T + by_child @ child.covariance @ by_child.T + np.eye(number)
     return float(np.sqrt(residual.value @ np.linalg.solve(spread, residual.value) / number)), number
 
 
@@ -150,7 +147,7 @@ def limit_excess(joint: Joint, parent: PartEvidence, child: PartEvidence) -> flo
     if not _beyond(joint, value):
         return 0.0
     by_parent, by_child = derivative[:_SIZE], derivative[_SIZE:]
-    variance = INFLATION**2 * (by_parent @ parent.covariance @ by_parent + by_child @ child.covariance @ by_child)
+    variance = by_parent @ parent.covariance @ by_parent + by_child @ child.covariance @ by_child
     return abs(value - _nearest_limit(joint, value)) / float(np.sqrt(variance + _LIMIT_SIGMA[joint.kind] ** 2))
 
 
@@ -168,7 +165,7 @@ def _object(indices: Sequence[int], parts: Sequence[PartEvidence]) -> _Object:
     information = np.zeros((_SIZE * len(parts), _SIZE * len(parts)))
     for row, part in enumerate(parts):
         own = slice(_SIZE * row, _SIZE * (row + 1))
-        information[own, own] = np.linalg.inv(part.covariance) / INFLATION**2
+        information[own, own] = np.linalg.inv(part.covariance)
     extents = np.array([part.extents_unit for part in parts])
     return _Object({k: row for row, k in enumerate(indices)}, _similarities(parts), information, extents)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from page_runtime.category import Category, Joint, JointGeometry, Part
 from page_runtime.confidence import FEATURES, ConfidenceModel
+from page_runtime.template import template_document, template_from
 
 METADATA_KEY = "page.bundle"
 METADATA_VERSION = 2
@@ -98,6 +99,7 @@ def category_document(category: Category) -> dict[str, Any]:
                 "keypoints_unit": part.keypoints_unit.tolist(),
                 "extents_unit": part.extents_unit.tolist(),
                 "diagonal_range_m": list(part.diagonal_range_m),
+                "template": None if part.template is None else template_document(part.template),
             }
             for part in category.parts
         ],
@@ -131,7 +133,7 @@ def category_from(document: dict[str, Any]) -> Category:
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
 _OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance", "confidence"}
-_PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m"}
+_PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m", "template"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
 
@@ -160,6 +162,7 @@ def _part(entry: dict[str, Any]) -> Part:
             keypoints_unit=entry["keypoints_unit"],
             extents_unit=entry["extents_unit"],
             diagonal_range_m=(float(low), float(high)),
+            template=None if entry["template"] is None else template_from(entry["template"]),
         )
     except (TypeError, ValueError) as error:
         raise BundleError(f"bundle metadata, part {entry['name']!r}: {error}") from error

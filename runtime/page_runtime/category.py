@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from page_runtime.geometry import Array
+from page_runtime.template import Template
 
 JointKind = Literal["free", "revolute", "prismatic"]
 
@@ -18,7 +19,8 @@ class Part:
 
     keypoints_unit: (n,3) in units of the part's diagonal, canonical frame; the first `Category.num_voted` are voted,
     all of them enter the pose refinement (METHOD 10, 11). extents_unit: (3,) mean extents of the category's parts
-    divided by their diagonal. diagonal_range_m: smallest and largest plausible diagonal.
+    divided by their diagonal. diagonal_range_m: smallest and largest plausible diagonal. template: the surface that the
+    pose is fitted to at the end, None for a pose from radii alone.
     """
 
     name: str
@@ -26,6 +28,7 @@ class Part:
     keypoints_unit: Array
     extents_unit: Array
     diagonal_range_m: tuple[float, float]
+    template: Template | None = None
 
     def __post_init__(self) -> None:
         keypoints = np.asarray(self.keypoints_unit, dtype=float)

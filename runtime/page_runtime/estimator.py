@@ -16,16 +16,19 @@ from page_runtime.category import Category, Part
 from page_runtime.confidence import ConfidenceModel, features
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import apply
+from page_runtime.icp import refine_to_template
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
 from page_runtime.registration import Ambiguous, Registration, register_part
 from page_runtime.sampling import Region, RegionSample, sample_region
 from page_runtime.scoring import KeypointVotes, score_keypoints
+from page_runtime.template import Template
+from page_runtime.uncertainty import with_common_error
 
 MIN_PART_POINTS = 24
 MAX_VOTERS = 512
-STAGES = ("sampling", "network", "scoring", "registration", "articulation")
+STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
 
 
 def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedPose:
@@ -140,8 +143,30 @@ def _register(
     poses, ambiguity = (
         (registration.poses, registration.reason) if isinstance(registration, Ambiguous) else ((registration,), "")
     )
-    evidence = tuple(PartEvidence(pose.T_camera_part, pose.scale_m, pose.covariance, extents_unit) for pose in poses)
+    evidence = tuple(
+        PartEvidence(pose.T_camera_part, pose.scale_m, with_common_error(pose.covariance, pose.scale_m), extents_unit)
+        for pose in poses
+    )
+    if part.template is not None:
+        evidence = tuple(_fitted(one, points_camera[members], part.template) for one in evidence)
+        watch.stage("icp")
     return _Found(votes, poses, evidence, ambiguity, len(members))
+
+
+def _fitted(evidence: PartEvidence, points_camera: NDArray[np.float32], template: Template) -> PartEvidence:
+    """By the part's points and the category's template, where that is for the better."""
+    fit = refine_to_template(
+        points_camera,
+        evidence.T_camera_part,
+        evidence.scale_m,
+        evidence.covariance,
+        template,
+        extents_unit=evidence.extents_unit,
+    )
+    if not fit.accepted:
+        return evidence
+    scale_m = float(np.linalg.norm(fit.extents_m))
+    return PartEvidence(fit.T_camera_part, scale_m, fit.covariance, fit.extents_m / scale_m)
 
 
 def _part_pose(
