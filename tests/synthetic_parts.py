@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.template import Template
+
 FloatArray = NDArray[np.float64]
 
 NUM_POINTS = 500
@@ -112,3 +114,15 @@ def seen_part(
         scale_m,
         normals,
     )
+
+
+def box_template(extents_unit: np.ndarray, side: int = 9) -> Template:
+    """A grid of side x side samples on each face of a box."""
+    steps = (np.arange(side) + 0.5) / side - 0.5
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    points, normals = [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            points.append(np.insert(grid, axis, 0.5 * sign, axis=1) * extents_unit)
+            normals.append(np.tile(sign * np.eye(3)[axis], (len(grid), 1)))
+    return Template(np.concatenate(points), np.concatenate(normals), np.asarray(extents_unit))

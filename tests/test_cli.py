@@ -26,7 +26,7 @@ from page_runtime.network import Network
 from page_runtime.recorded import Instance, RecordedFrame
 from page_runtime.recording import RecordingWriter
 
-STAGES = {"sampling", "network", "scoring", "registration"}
+STAGES = {"sampling", "network", "scoring", "registration", "icp", "articulation"}
 
 
 def run_lines(recording: Path, bundle: Path, out: Path, *more: str) -> list[dict[str, Any]]:
@@ -38,7 +38,7 @@ def test_run_writes_a_line_a_frame_with_the_pose_of_every_part(
     toy_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
     first, _, last = run_lines(toy_recording, oracle_bundle, tmp_path / "o.jsonl")
-    assert list(first) == ["frame", "timestamp_s", "parts", "stage_ms"]
+    assert list(first) == ["frame", "timestamp_s", "parts", "joints", "stage_ms"]
     assert (first["frame"], last["frame"]) == (0, 2)
     assert set(first["stage_ms"]) == STAGES
     for part, name, T_true, extents in zip(
@@ -50,12 +50,18 @@ def test_run_writes_a_line_a_frame_with_the_pose_of_every_part(
         np.testing.assert_allclose(part["T_camera_part"], T_true, atol=1e-4)
         np.testing.assert_allclose(part["extents_m"], extents, atol=1e-4)
         assert np.shape(part["keypoints_camera"]) == (len(toy.KEYPOINTS_UNIT), 3)
+    (hinge,) = first["joints"]
+    assert list(hinge) == ["name", "kind", "value", "sigma", "unit", "limits", "reason"]
+    assert (hinge["name"], hinge["unit"], hinge["reason"]) == ("hinge", "rad", None)
+    assert abs(hinge["value"] - toy.STATE_RAD) < 1e-3
 
 
 def test_a_frame_without_depth_says_so_for_every_part_and_the_next_one_is_estimated(
     toy_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
     _, blind, last = run_lines(toy_recording, oracle_bundle, tmp_path / "o.jsonl")
+    assert blind["joints"][0]["value"] is None
+    assert blind["joints"][0]["reason"].startswith("not seen")
     for part in blind["parts"]:
         assert part["reason"].startswith("not seen")
         assert part["T_camera_part"] is part["extents_m"] is part["keypoints_camera"] is None
@@ -128,6 +134,10 @@ def test_validate_reports_an_exact_network_as_exact_and_a_blind_frame_as_a_failu
     document = json.loads((tmp_path / "v.json").read_text())
     assert document["frames"] == 3
     assert [part["name"] for part in document["parts"]] == ["base", "lid"]
+    (hinge,) = document["joints"]
+    assert hinge["unit"] == "deg"
+    assert hinge["visible"] - hinge["missing"] > 0
+    assert hinge["error"]["mean"] < 0.1
     for part in document["parts"]:
         assert part["rotation_deg"]["mean"] < 0.05
         assert part["translation_m"]["median"] < 1e-4
@@ -391,7 +401,7 @@ BROKEN_BUNDLES: dict[str, tuple[Callable[[Path, Path], Any], str]] = {
     "truncated": (lambda path, good: path.write_bytes(good.read_bytes()[:-200]), "bundle .*broken.onnx"),
     "half": (lambda path, good: path.write_bytes(good.read_bytes()[: good.stat().st_size // 2]), "bundle .*broken"),
     "a model of something else": (model_without_metadata, "no 'page.bundle' in the metadata"),
-    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 1, got 99"),
+    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 2, got 99"),
     "lacking a field": (model_with_metadata(lambda d: d.pop("voxel_m")), r"broken\.onnx: .*missing \['voxel_m'\]"),
     "of other shapes": (model_with_metadata(lambda d: d.update(image_size=128)), "image .* 128, 128] by .*got .*224"),
 }  # fmt: skip

@@ -11,22 +11,10 @@ from page_runtime.geometry import apply, rotation_angle, transform_from
 from page_runtime.icp import IcpResult, refine_to_template
 from page_runtime.similarity import so3_exp
 from page_runtime.template import Template
-from synthetic_parts import SyntheticPart, box_extents_m, keypoints_around, random_rotation, seen_part
+from synthetic_parts import SyntheticPart, box_extents_m, box_template, keypoints_around, random_rotation, seen_part
 
 NEAR = (0.0012, np.radians(0.3), 0.005)
 FAR = (0.005, np.radians(1.2), 0.02)
-
-
-def box_template(extents_unit: np.ndarray, side: int = 9) -> Template:
-    """A grid of side x side samples on each face of a box."""
-    steps = (np.arange(side) + 0.5) / side - 0.5
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    points, normals = [], []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            points.append(np.insert(grid, axis, 0.5 * sign, axis=1) * extents_unit)
-            normals.append(np.tile(sign * np.eye(3)[axis], (len(grid), 1)))
-    return Template(np.concatenate(points), np.concatenate(normals), np.asarray(extents_unit))
 
 
 def seen_box(seed: int, depth_noise_m: float = 0.001) -> SyntheticPart:

@@ -25,6 +25,7 @@ from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
 from page_runtime.recording import RecordingWriter
 from page_runtime.sampling import Region, sample_region
+from synthetic_parts import box_template
 
 IMAGE_SIZE = 224
 STATE_RAD = 1.9
@@ -33,7 +34,14 @@ KEYPOINTS_UNIT = 0.35 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 
 CATEGORY = Category(
     name="box",
     parts=tuple(
-        Part(name, f"origin: centre of the {name}'s box", KEYPOINTS_UNIT, e / np.linalg.norm(e), (0.09, 0.55))
+        Part(
+            name,
+            f"origin: centre of the {name}'s box",
+            KEYPOINTS_UNIT,
+            e / np.linalg.norm(e),
+            (0.09, 0.55),
+            box_template(e / np.linalg.norm(e)),
+        )
         for name, e in zip(("base", "lid"), EXTENTS_M, strict=True)
     ),
     joints=(Joint("hinge", 0, 1, "revolute", (-1.0, 0.0, 0.0), (0.0, float(np.pi))),),
