@@ -1,6 +1,8 @@
 """Laws of proposal integration scoring: it is the dense accumulator, only sooner."""
 
+import tracemalloc
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from dense_accumulator import dense_votes
-from page_runtime.branch_and_bound import Shells, rival_votes, search, voters_from
-from page_runtime.multilateration import anchors_from, linear_hypotheses, principal_axes, refine_positions
-from page_runtime.scoring import KeypointVotes, score_keypoints
+from page_runtime.branch_and_bound import rival_votes, search
+from page_runtime.multilateration import anchors_from, linear_hypotheses, principal_axes, refine_positions, stacked
+from page_runtime.scoring import ONE_SIDED, TWO_SIDED, KeypointVotes, VoteRule, score_keypoints, score_parts
+from page_runtime.vote_shells import shells_from
 from synthetic_parts import (
     SyntheticPart,
     box_extents_m,
@@ -20,6 +23,10 @@ from synthetic_parts import (
     random_rotation,
     seen_part,
 )
+
+RuleName = Literal["two-sided", "one-sided"]
+RULES: dict[RuleName, VoteRule] = {"two-sided": TWO_SIDED, "one-sided": ONE_SIDED}
+EACH_RULE = pytest.mark.parametrize("rule", list(RULES))
 
 
 def small_problem(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -52,28 +59,30 @@ def solid_part(seed: int, **noise: float) -> SyntheticPart:
             return part
 
 
-@pytest.mark.parametrize("block", range(20))
-def test_maximum_ties_and_first_of_the_ties_are_those_of_the_dense_accumulator(block: int) -> None:
+@EACH_RULE
+@pytest.mark.parametrize("block", range(8))
+def test_maximum_ties_and_first_of_the_ties_are_those_of_the_dense_accumulator(block: int, rule: RuleName) -> None:
     for seed in range(20 * block, 20 * block + 20):
         points, radii, voxel_m = small_problem(seed)
-        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m)[0]
-        dense = dense_votes(points, radii, voxel_m)
+        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m, rule=RULES[rule])[0]
+        dense = dense_votes(points, radii, voxel_m, rule=rule)
         assert votes.gap == 0, seed
         assert votes.max_votes == dense.max_votes, seed
         np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera, err_msg=str(seed))
         np.testing.assert_array_equal(votes.peaks[0].voxel_camera, dense.ties_camera[0], err_msg=str(seed))
 
 
-def test_radii_on_the_very_edge_of_a_vote_are_counted_as_the_dense_accumulator_counts_them() -> None:
-    for seed in range(40):
+@EACH_RULE
+def test_radii_on_the_very_edge_of_a_vote_are_counted_as_the_dense_accumulator_counts_them(rule: RuleName) -> None:
+    for seed in range(15):
         rng = np.random.default_rng(seed)
         voxel_m = float(rng.choice([0.005, 2.0**-7]))
         points = voxel_m * rng.integers(-8, 8, (80, 3)) + rng.choice([0.0, 1.0]) * np.array([0.3, -0.2, 1.1])
         at = voxel_m * np.rint(points.mean(axis=0) / voxel_m + rng.integers(-10, 10, 3))
-        edge = rng.choice([-1.0, 1.0], 80) * np.sqrt(3.0) * voxel_m
-        radii = np.abs(np.linalg.norm(points.astype(np.float32) - at, axis=1) + edge)
-        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m)[0]
-        dense = dense_votes(points, radii, voxel_m)
+        edge = rng.choice(RULES[rule].bounds_m(voxel_m), 80)
+        radii = np.abs(np.linalg.norm(points.astype(np.float32) - at, axis=1) - edge)
+        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m, rule=RULES[rule])[0]
+        dense = dense_votes(points, radii, voxel_m, rule=rule)
         assert (votes.max_votes, votes.gap) == (dense.max_votes, 0)
         np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
 
@@ -86,43 +95,84 @@ def test_the_one_sided_rule_would_place_a_keypoint_nearer_to_the_part() -> None:
         direction /= np.linalg.norm(direction)
         radii, voxel_m = np.linalg.norm(points - 0.2 * direction, axis=1), 0.02
         two_sided, one_sided = (
-            dense_votes(points, radii, voxel_m, rule=rule).ties_camera @ direction - 0.2
-            for rule in ("two-sided", "one-sided")
+            score_keypoints(points, radii[:, None], voxel_m=voxel_m, rule=rule)[0].ties_camera @ direction - 0.2
+            for rule in (TWO_SIDED, ONE_SIDED)
         )
         # Towards the part is negative. The mean is over all voxels with the most votes.
         assert abs(two_sided.mean()) < 0.25 * voxel_m
         assert one_sided.mean() < -0.5 * voxel_m
 
 
+@EACH_RULE
 @pytest.mark.parametrize("rival_share", [0.95, 0.7])
-def test_every_voxel_with_the_rivals_share_is_found_with_its_votes(rival_share: float) -> None:
-    for seed in range(1000, 1030):
+def test_every_voxel_with_the_rivals_share_is_found_with_its_votes(rival_share: float, rule: RuleName) -> None:
+    for seed in range(1000, 1015):
         points, radii, voxel_m = small_problem(seed)
-        dense = dense_votes(points, radii, voxel_m)
-        voters = voters_from(points.astype(np.float64), voxel_m)
+        dense = dense_votes(points, radii, voxel_m, rule=rule)
+        part = points.astype(np.float64), radii[None].astype(np.float64)
         # A seed that is no use: exactness must not depend on it.
-        found = search(Shells(voters, radii.astype(np.float64)), np.full((1, 3), 5.0), rival_share, 10**9)
+        found = search(shells_from([part], voxel_m, RULES[rule]), np.full((1, 1, 3), 5.0), rival_share, 10**9)[0]
         rivals = np.argwhere(dense.votes >= rival_votes(dense.max_votes, rival_share))
         order = np.lexsort(found.voxels.T[::-1])
         np.testing.assert_array_equal(found.voxels[order], rivals + dense.first)
         np.testing.assert_array_equal(found.votes[order], dense.votes[tuple(rivals.T)])
 
 
+@EACH_RULE
 @pytest.mark.parametrize("max_evaluations", [0, 3_000, 30_000, 300_000])
-def test_a_spent_budget_gives_bounds_that_hold(max_evaluations: int) -> None:
+def test_a_spent_budget_gives_bounds_that_hold(max_evaluations: int, rule: RuleName) -> None:
     gaps = []
-    for seed in range(2000, 2025):
+    for seed in range(2000, 2015):
         points, radii, voxel_m = small_problem(seed)
-        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m, max_evaluations=max_evaluations)[0]
-        dense = dense_votes(points, radii, voxel_m)
-        assert votes.max_votes <= dense.max_votes <= votes.max_votes + votes.gap
+        votes = score_keypoints(
+            points, radii[:, None], voxel_m=voxel_m, rule=RULES[rule], max_evaluations=max_evaluations
+        )[0]
+        assert_bounds_hold(votes, points, radii, voxel_m, rule)
         assert votes.evaluations <= max_evaluations + 300 * len(points)
-        at = np.rint(votes.peaks[0].voxel_camera / voxel_m).astype(int) - dense.first
-        assert dense.votes[tuple(at)] == votes.max_votes
-        if votes.gap == 0:
-            np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
         gaps.append(votes.gap)
     assert max_evaluations > 30_000 or max(gaps) > 0
+
+
+@EACH_RULE
+def test_a_time_that_is_up_gives_bounds_that_hold(rule: RuleName) -> None:
+    gaps = []
+    for seed in range(2000, 2015):
+        points, radii, voxel_m = small_problem(seed)
+        for max_seconds in (0.0, 0.003):
+            options = {"voxel_m": voxel_m, "rule": RULES[rule], "max_seconds": max_seconds}
+            votes = score_keypoints(points, radii[:, None], **options)[0]
+            assert_bounds_hold(votes, points, radii, voxel_m, rule)
+            gaps.append(votes.gap)
+    assert max(gaps) > 0
+
+
+@EACH_RULE
+@pytest.mark.parametrize("ticks", [0, 1, 2, 5, 9, 14, 20, 30, 50])
+def test_bounds_hold_wherever_the_time_is_up(ticks: int, rule: RuleName, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in range(2000, 2006):
+        points, radii, voxel_m = small_problem(seed)
+        part = points.astype(np.float64), radii[None].astype(np.float64)
+        clock = iter(range(10**6))
+        monkeypatch.setattr("page_runtime.branch_and_bound.perf_counter", lambda clock=clock: next(clock))
+        shells = shells_from([part], voxel_m, RULES[rule])
+        found = search(shells, np.full((1, 1, 3), 5.0), 0.95, 10**9, deadline=ticks)[0]
+        dense = dense_votes(points, radii, voxel_m, rule=rule)
+        at = found.voxels - dense.first
+        inside = ((at >= 0) & (at < dense.votes.shape)).all(axis=1)
+        np.testing.assert_array_equal(found.votes[inside], dense.votes[tuple(at[inside].T)])
+        assert dense.max_votes <= max(found.unsearched_bound, found.votes.max(initial=0))
+
+
+def assert_bounds_hold(
+    votes: KeypointVotes, points: np.ndarray, radii: np.ndarray, voxel_m: float, rule: RuleName
+) -> None:
+    dense = dense_votes(points, radii, voxel_m, rule=rule)
+    assert votes.max_votes <= dense.max_votes <= votes.max_votes + votes.gap
+    for peak in votes.peaks:
+        at = np.rint(peak.voxel_camera / voxel_m).astype(int) - dense.first
+        assert dense.votes[tuple(at)] == peak.votes
+    if votes.gap == 0:
+        np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
 
 
 def test_a_hard_part_stays_within_the_default_budget() -> None:
@@ -236,6 +286,62 @@ def test_neither_the_order_of_the_points_nor_the_other_keypoints_matter() -> Non
             np.testing.assert_array_equal(other.ties_camera, votes.ties_camera)
 
 
+@EACH_RULE
+def test_a_frame_of_parts_is_scored_as_each_part_alone(rule: RuleName) -> None:
+    parts = []
+    for seed, count in enumerate([500, 3, 60, 0, 300]):
+        rng = np.random.default_rng(seed)
+        extents_m = box_extents_m(rng)
+        part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 2), sigma_m=0.004, outliers=0.2)
+        parts.append((part.points_camera[:count], part.radii_m[:count]))
+    parts.append((parts[0][0], parts[0][1][:, :0]))
+    parts[2][1][:, 0] = np.nan
+    parts[4][0][7] = np.nan
+    frame = score_parts(parts, rule=RULES[rule])
+    assert len(frame) == len(parts)
+    for (points, radii), together in zip(parts, frame, strict=True):
+        for one, other in zip(together, score_keypoints(points, radii, rule=RULES[rule]), strict=True):
+            assert (one.max_votes, one.gap, one.reason) == (other.max_votes, other.gap, other.reason)
+            np.testing.assert_array_equal(one.ties_camera, other.ties_camera)
+            for peak, alone in zip(one.peaks, other.peaks, strict=True):
+                np.testing.assert_array_equal(peak.voxel_camera, alone.voxel_camera)
+                np.testing.assert_allclose(peak.position_camera, alone.position_camera, atol=1e-9)
+
+
+def test_stacked_parts_are_located_as_each_part_alone() -> None:
+    rng = np.random.default_rng(11)
+    clouds = [rng.normal(size=(count, 3)) * 0.2 + 1.0 for count in (100, 37)]
+    radii = [np.linalg.norm(cloud - rng.normal(size=(2, 1, 3)), axis=2) for cloud in clouds]
+    padded = np.full((2, 2, 100), 1e6)
+    for row, each in zip(padded, radii, strict=True):
+        row[:, : each.shape[1]] = each
+    anchors = stacked([anchors_from(cloud) for cloud in clouds])
+    starts = linear_hypotheses(anchors, padded)
+    refined = refine_positions(starts[:, :, 2], anchors, padded, [0.1, 0.02])
+    for k, cloud in enumerate(clouds):
+        alone = linear_hypotheses(anchors_from(cloud), radii[k])
+        np.testing.assert_allclose(starts[k], alone, atol=1e-6)
+        np.testing.assert_allclose(
+            refined[k], refine_positions(alone[:, 2], anchors_from(cloud), radii[k], [0.1, 0.02]), atol=1e-6
+        )
+
+
+def test_a_frame_is_scored_in_4_mb() -> None:
+    parts = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        extents_m = plate_extents_m(rng)
+        part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.005, outliers=0.15)
+        parts.append((part.points_camera, part.radii_m))
+    tracemalloc.start()
+    try:
+        score_parts(parts)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 4e6
+
+
 def test_bad_points_and_radii_do_not_vote() -> None:
     rng = np.random.default_rng(8)
     extents_m = box_extents_m(rng)
@@ -292,7 +398,10 @@ def test_one_keypoint_without_radii_leaves_the_others_alone() -> None:
 )
 def test_no_value_whatever_raises_or_takes_unbounded_work(points: np.ndarray, data: st.DataObject) -> None:
     radii = data.draw(hnp.arrays(np.float32, (len(points), 2)))
-    for votes in score_keypoints(points, radii, max_evaluations=200_000):
+    rule = data.draw(
+        st.sampled_from([*RULES.values(), VoteRule(-3.0, 2.0, closed=False), VoteRule(0.5, 1.0, closed=True)])
+    )
+    for votes in score_keypoints(points, radii, rule=rule, max_evaluations=200_000):
         assert bool(votes.peaks) == (votes.reason == "")
         assert votes.evaluations <= 200_000 + 300 * len(points)
         assert all(np.isfinite(peak.position_camera).all() for peak in votes.peaks)
@@ -316,6 +425,8 @@ def test_points_and_radii_at_the_range_limit_are_scored_within_the_budget() -> N
         (np.zeros((5, 3)), np.zeros((5, 1)), {"voxel_m": float("nan")}, "voxel_m: expected"),
         (np.zeros((5, 3)), np.zeros((5, 1)), {"rival_share": 1.5}, "rival_share: expected"),
         (np.zeros((5, 3)), np.zeros((5, 1)), {"max_evaluations": -1}, "max_evaluations: expected"),
+        (np.zeros((5, 3)), np.zeros((5, 1)), {"max_seconds": -1.0}, "max_seconds: expected"),
+        (np.zeros((5, 3)), np.zeros((5, 1)), {"max_seconds": float("nan")}, "max_seconds: expected"),
     ],
 )
 def test_wrong_shapes_and_parameters_are_named(points, radii, options, message: str) -> None:
@@ -325,3 +436,28 @@ def test_wrong_shapes_and_parameters_are_named(points, radii, options, message: 
 
 def test_no_keypoints_are_no_votes() -> None:
     assert score_keypoints(np.zeros((5, 3)), np.zeros((5, 0))) == ()
+
+
+@pytest.mark.parametrize(("lowest", "highest"), [(1.0, 1.0), (0.0, -1.0), (float("nan"), 1.0), (-1.0, float("inf"))])
+def test_a_rule_without_a_shell_is_named(lowest: float, highest: float) -> None:
+    with pytest.raises(ValueError, match="VoteRule: expected lowest_etas < highest_etas"):
+        VoteRule(lowest, highest, closed=True)
+
+
+def test_radii_that_leave_no_voxel_a_vote_are_no_votes() -> None:
+    points = np.random.default_rng(12).uniform(-0.1, 0.1, (30, 3))
+    votes = score_keypoints(points, np.zeros((30, 1)), rule=ONE_SIDED)[0]
+    assert dense_votes(points, np.zeros(30), 0.005, rule="one-sided").max_votes == 0
+    assert_no_peak(votes, "no voxel has a vote")
+    assert score_keypoints(points, np.zeros((30, 1)), rule=ONE_SIDED, max_evaluations=0)[0].gap > 0
+
+
+@EACH_RULE
+def test_parts_far_from_the_camera_are_scored(rule: RuleName) -> None:
+    rng = np.random.default_rng(13)
+    points = (rng.uniform(-0.2, 0.2, (60, 3)) + np.array([0.0, 300.0, 1000.0])).astype(np.float32)
+    radii = np.linalg.norm(points - np.array([0.1, 300.2, 1000.0]), axis=1)
+    votes = score_keypoints(points, radii[:, None], voxel_m=0.02, rule=RULES[rule])[0]
+    dense = dense_votes(points, radii, 0.02, rule=rule)
+    assert (votes.max_votes, votes.gap) == (dense.max_votes, 0)
+    np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)

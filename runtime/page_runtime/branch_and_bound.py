@@ -1,70 +1,52 @@
 """The voxels with the most votes, by branch and bound with the dense float64 accumulator's answer.
 
-A point p with radius r votes for a voxel with centre g when | |p - g| - r | <= eta: g lies in a shell. A cell of 2^l
-voxels a side cannot hold a voxel with more votes than the number of shells, thickened by half the diagonal between
-the cell's outermost voxel centres, that the cell's centre lies in. Cells bounded below the best votes known are
-dropped, the others split. The bounds are computed in float32, thickened by the worst rounding possible; the votes
-reported are the float64 count of the defining formula.
+A cell of 2^l voxels a side cannot hold a voxel with more votes than the number of shells, thickened by half the
+diagonal between the cell's outermost voxel centres, that the cell's centre lies in. Cells bounded below the best votes
+known are dropped, the others split. A point without a vote in a cell has none in the cells within: voters are asked in
+blocks, and a cell is dropped as soon as those asked and its parent's votes of the others are too few. All keypoints of
+a frame advance together, a level at a time, because at 300 points a numpy call costs more than its arithmetic. The
+bounds are float32, with the worst rounding possible; the votes reported are the float64 count of the defining formula.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+from page_runtime.vote_shells import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    Shells,
+    bands,
+    count,
+    count_blocks,
+    exact_count,
+    exact_counts,
+    keypoint_edges,
+    lifted,
+    pigeonhole_box,
+)
+from page_runtime.voxel_cells import Cells, cube, joined, no_cells, roots, split, start_levels
 
-_START_CELLS = 400
-_JUMP_CELLS = 768
 _PROBED_AMONG = 256
 _PROBED_CELLS = 8
 _BLOCK_CELLS = 8192
-# Bounds the memory where few points leave a wide plateau; over 70 points the default budget is tighter.
-_MAX_CELLS = 2**18
-_CHUNK_EVALUATIONS = 160_000
-# |d^2 - m| <= t is asked as 0 <= (d^2 - m) / t + 1 <= 2, and that of the float's bits by one unsigned comparison:
-# negative numbers and NaN have larger bits than 2.0.
-_BITS_OF_TWO = np.float32(2.0).view(np.uint32)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Voters:
-    """Points that vote, with what all their keypoints share.
-
-    points: (N, 3) m camera. origin: (3,) voxel near their mean; relative: (N, 3) m from it; norm2: (N,) m^2 and norm:
-    (N,) m of that; lift: (4, N), (1, -2 p). values, inside: scratch of the kernel, allocated once as fresh pages
-    cost more than the arithmetic done in them.
-    """
-
-    points: FloatArray
-    voxel_m: float
-    origin: IntArray
-    relative: FloatArray
-    norm2: FloatArray
-    norm: FloatArray
-    lift: FloatArray
-    values: Float32Array
-    inside: NDArray[np.bool_]
-
-    @property
-    def tolerance_m(self) -> float:
-        return math.sqrt(3.0) * self.voxel_m
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Shells:
-    """Voters of one keypoint and their radii_m (N,)."""
-
-    voters: Voters
-    radii_m: FloatArray
+# The clock is read before as many evaluations: a millisecond at most.
+_BLOCK_EVALUATIONS = 2**21
+# Bound the memory, to some 20 MB, where few points leave a wide plateau or radii agree on nothing.
+_MAX_CELLS = 2**16
+_MAX_CELLS_EACH = 2**13
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Found:
-    """Voxels (T, 3), lattice indices, and their votes (T,): maximum and rivals, best first, then C order.
+    """Voxels (T, 3), lattice indices, and their votes (T,): maximum and rivals, best first, then C order;
+    none where no voxel is known to have a vote.
 
     No voxel that was not searched has more votes than unsearched_bound, 0 if all were.
     """
@@ -75,16 +57,30 @@ class Found:
     unsearched_bound: int
 
 
-def voters_from(points: FloatArray, voxel_m: float) -> Voters:
-    """Precompute for (N, 3) finite points in metres and voxels of voxel_m."""
-    origin = np.rint(points.mean(axis=0) / voxel_m).astype(np.int64)
-    relative = points - origin * voxel_m
-    lift = np.concatenate((np.ones((1, len(points))), -2.0 * relative.T))
-    norm2 = np.einsum("nk,nk->n", relative, relative)
-    values = np.empty(_padded(len(points)) * _columns(_padded(len(points))), np.float32)
-    return Voters(
-        points, voxel_m, origin, relative, norm2, np.sqrt(norm2), lift, values, np.empty(len(values), np.bool_)
-    )
+@dataclass(eq=False, slots=True)
+class Race:
+    """What is known so far of each of J keypoints: its best voxel (3, J) from the origin with its votes (J,); required
+    (J,), the fewest votes of a voxel that is kept; evaluations (J,); the bound of unsearched voxels (J,).
+    """
+
+    voxels: IntArray
+    votes: IntArray
+    rival_share: float
+    required: IntArray
+    evaluations: IntArray
+    unsearched: IntArray
+
+    def offer(self, voxels: IntArray, votes: IntArray, owner: NDArray[np.intp]) -> None:
+        """Take the better of voxels (3, M) with at least `votes` (M,)."""
+        for at in np.flatnonzero(votes > self.votes[owner]):
+            keypoint = owner[at]
+            if votes[at] > self.votes[keypoint]:
+                self.votes[keypoint] = votes[at]
+                self.voxels[:, keypoint] = voxels[:, at]
+                self.required[keypoint] = rival_votes(int(votes[at]), self.rival_share)
+
+    def leave(self, cells: Cells) -> None:
+        np.maximum.at(self.unsearched, cells.owner, cells.bounds)
 
 
 def rival_votes(votes: int, rival_share: float) -> int:
@@ -92,208 +88,214 @@ def rival_votes(votes: int, rival_share: float) -> int:
     return max(1, math.ceil(rival_share * votes - 1e-9))
 
 
-def _groups(count: int) -> int:
-    """Groups of at most 255 voters, whose votes fit a byte."""
-    return -(-count // 255)
+_WINDOW = cube(3) - 1
 
 
-def _padded(count: int) -> int:
-    return _groups(count) * -(-count // _groups(count))
+def search(
+    shells: Shells, seeds: FloatArray, rival_share: float, max_evaluations: int, deadline: float = math.inf
+) -> list[Found]:
+    """For each of J keypoints the voxels of most votes and their rivals, level by level from seeds (J, S, 3) m.
 
-
-def _columns(padded: int) -> int:
-    """Voxels per call of the kernel, so that its values stay in the second-level cache."""
-    return max(16, _CHUNK_EVALUATIONS // padded // 16 * 16)
-
-
-def _bands(shells: Shells, thickness_m: FloatArray, signs: FloatArray, reach_m: float) -> Float32Array:
-    """(L, 5, padded N): column i times (|g|^2, g, 1) is in [0, 2] if g is within the thickness of shell i.
-
-    With lo = max(r - w, 0)^2, hi = (r + w)^2, m and t their mean and half difference: |d^2 - m| <= t, no root.
-    thickness_m: (L,) m, w. signs: (L,), +1 thickens the bands by the float32 rounding error of positions up to
-    `reach_m` from the origin, so that no vote is missed; -1 thins them so that none is invented. The error of the
-    five products and their sum is below 8 x 2^-24 of the sum of their magnitudes; 12 leave a margin, also for float64
-    in the formula. Columns that fill the last group never vote.
+    Seeds only bound the search; they and the 27 voxels around the best are not part of the budget of max_evaluations
+    for each keypoint. deadline: of `perf_counter`; the levels stop there.
     """
-    voters, radii_m = shells.voters, shells.radii_m
-    outer = radii_m + thickness_m[:, None]
-    inner = np.maximum(radii_m - thickness_m[:, None], 0.0)
-    outer *= outer
-    inner *= inner
-    # |g|^2 + 2 |g||p| + |p|^2 + m + t, where m + t = hi.
-    slack = 12.0 * 2.0**-24 * ((reach_m + voters.norm) ** 2 + outer) + 1e-15
-    half = 0.5 * (outer - inner) + signs[:, None] * slack
-    voting = half > 0.0
-    inverse = voting / np.where(voting, half, 1.0)
-    count = len(radii_m)
-    bands = np.zeros((len(signs), 5, _padded(count)), np.float32)
-    bands[:, 4] = -1.0
-    np.multiply(voters.lift, inverse[:, None], out=bands[:, :4, :count], casting="same_kind")
-    bands[:, 4, :count] = (voters.norm2 - 0.5 * (outer + inner)) * inverse + (2.0 * voting - 1.0)
-    return bands
+    starts, start_votes, race = _start(shells, seeds, rival_share)
+    race.evaluations += starts.shape[1] // len(shells) * shells.num_voters
+    if perf_counter() >= deadline:
+        race.unsearched += shells.num_voters
+        nothing = no_cells(shells)
+        return _founds(shells, nothing.corners, nothing.bounds, nothing.owner, race, starts, start_votes)
+    boxes = [pigeonhole_box(shells, j, votes) for j, votes in enumerate(race.required.tolist())]
+    first, last = (np.stack(corners, axis=1) for corners in zip(*boxes, strict=True))
+    levels = start_levels(last - first + 1)
+    farthest = np.maximum(np.maximum(np.abs(first), np.abs(last)) + 2**levels, np.abs(race.voxels) + 2)
+    reach_m = np.linalg.norm(farthest * shells.voxel_m, axis=0)
+    certain = bands(shells, 0.0, reach_m, at_least=False)
+    window = (race.voxels[:, :, None] + _WINDOW[:, None, :]).reshape(3, -1)
+    owner = np.repeat(np.arange(len(shells)), _WINDOW.shape[1])
+    race.offer(window, count(shells, certain, lifted(shells, window, 0), owner), owner)
+    race.evaluations += _WINDOW.shape[1] * shells.num_voters
+    budget = race.evaluations + max_evaluations
 
-
-def _count(voters: Voters, bands: Float32Array, centres_m: FloatArray) -> IntArray:
-    """(M,) shells that each of the centres (3, M), in metres from the origin voxel, lies in."""
-    padded = bands.shape[1]
-    lifted = np.empty((5, centres_m.shape[1]), np.float32)
-    lifted[0] = np.einsum("km,km->m", centres_m, centres_m)
-    lifted[1:4] = centres_m
-    lifted[4] = 1.0
-    counts = np.empty(centres_m.shape[1], np.int64)
-    width = _columns(padded)
-    for begin in range(0, len(counts), width):
-        part = lifted[:, begin : begin + width]
-        used = padded * part.shape[1]
-        values, inside = voters.values[:used], voters.inside[:used]
-        np.matmul(bands.T, part, out=values.reshape(padded, -1))
-        np.less_equal(values.view(np.uint32), _BITS_OF_TWO, out=inside)
-        grouped = inside.view(np.uint8).reshape(_groups(padded), -1, part.shape[1])
-        votes = np.add.reduce(grouped, axis=1, dtype=np.uint8)
-        np.add.reduce(votes, axis=0, dtype=np.int64, out=counts[begin : begin + width])
-    return counts
-
-
-def _centres_m(voters: Voters, corners: IntArray, level: int) -> FloatArray:
-    """(3, M) m from the origin voxel: centres of cells of 2^level voxels a side, from their first voxels."""
-    return (corners + 0.5 * (2**level - 1)) * voters.voxel_m
-
-
-def _exact_count(shells: Shells, voxels: IntArray) -> IntArray:
-    """(M,) votes of voxels (3, M), counted from the origin, by the defining formula in float64."""
-    voters = shells.voters
-    centres = (voxels + voters.origin[:, None]) * voters.voxel_m
-    counts = np.empty(voxels.shape[1], np.int64)
-    width = max(1, _CHUNK_EVALUATIONS // (4 * len(voters.points)))
-    for begin in range(0, len(counts), width):
-        x, y, z = (centres[k, begin : begin + width, None] - voters.points[:, k] for k in range(3))
-        inside = np.abs(np.sqrt(x * x + y * y + z * z) - shells.radii_m) <= voters.tolerance_m
-        counts[begin : begin + width] = np.count_nonzero(inside, axis=1)
-    return counts
-
-
-def _pigeonhole_box(shells: Shells, votes: int) -> tuple[IntArray, IntArray]:
-    """First and last voxel (3,), from the origin, of all with `votes`: so many shells span it on each axis."""
-    voters = shells.voters
-    reach = (shells.radii_m + voters.tolerance_m)[:, None]
-    low = np.partition(voters.relative - reach, votes - 1, axis=0)[votes - 1]
-    high = np.partition(voters.relative + reach, len(reach) - votes, axis=0)[len(reach) - votes]
-    # A thousandth of a voxel covers the rounding of these sums.
-    first = np.ceil(low / voters.voxel_m - 1e-3).astype(np.int64)
-    return first, np.maximum(first, np.floor(high / voters.voxel_m + 1e-3).astype(np.int64))
-
-
-def _cube(side: int) -> IntArray:
-    """(3, side^3) lattice offsets of a cube, C order."""
-    return np.indices((side, side, side), dtype=np.int64).reshape(3, -1)
-
-
-_OCTANTS = _cube(2)
-_WINDOW = _cube(5) - 2
-
-
-def search(shells: Shells, seeds: FloatArray, rival_share: float, max_evaluations: int) -> Found:
-    """The voxels of most votes and their rivals, searched level by level from seeds (S, 3) m.
-
-    Seeds only bound the search; they and the 125 voxels around the best are not part of the budget.
-    """
-    voters = shells.voters
-    count, voxel_m, tolerance_m = len(voters.points), voters.voxel_m, voters.tolerance_m
-    # A seed may have diverged; 2^40 voxels is far from any, yet exact in int64 and float64.
-    near = np.clip(seeds / voxel_m - voters.origin, -(2.0**40), 2.0**40)
-    # At the first shell a voxel has its vote, so that the best known is never none.
-    on_shell = (voters.relative[:1] + np.array([shells.radii_m[0], 0.0, 0.0])) / voxel_m
-    starts = np.rint(np.concatenate((near, on_shell))).astype(np.int64).T
-    votes = _exact_count(shells, starts)
-    best, best_voxel = int(votes.max()), starts[:, votes.argmax()]
-    first, last = _pigeonhole_box(shells, rival_votes(best, rival_share))
-    extent = [int(size) for size in last - first + 1]
-    level = 0
-    while math.prod(-(-size >> level) for size in extent) > _START_CELLS:
-        level += 1
-    span = np.maximum(np.maximum(np.abs(first), np.abs(last)) + 2**level, np.abs(best_voxel) + 2)
-    half_diagonals_m = tolerance_m * 0.5 * (2.0 ** np.arange(level + 1) - 1.0)
-    signs = np.append(-1.0, np.ones(level + 1))
-    thickness_m = np.append(0.0, half_diagonals_m) + tolerance_m
-    certain, *possible = _bands(shells, thickness_m, signs, math.hypot(*span) * voxel_m)
-
-    cells = _WINDOW + best_voxel[:, None]
-    votes = _count(voters, certain, _centres_m(voters, cells, 0))
-    if votes.max() > best:
-        best, best_voxel = int(votes.max()), cells[:, votes.argmax()]
-    cells_counted = starts.shape[1] + cells.shape[1]
-    budget = cells_counted + max_evaluations // count
-
-    parents = np.indices([-(-size >> level) for size in extent], dtype=np.int64).reshape(3, -1)
-    parents = (parents << level) + first[:, None]
-    bounds = np.full(parents.shape[1], count)
-    unsearched_bound, step = 0, 0
-    while True:
-        # Half of what is left for each level, that a search cut short still ends at voxels and their recount.
-        allowed = min((budget - cells_counted) // 2, _MAX_CELLS) // 8**step
-        if allowed < len(bounds):
-            order = np.argsort(-bounds, kind="stable")
-            unsearched_bound = max(unsearched_bound, int(bounds[order[allowed]]))
-            parents = parents[:, order[:allowed]]
-        cells_counted += parents.shape[1] * 8**step
-        parents, bounds = _split(voters, possible[level], parents, level, step, rival_votes(best, rival_share))
-        if level == 0 or len(bounds) == 0:
+    cells, top = no_cells(shells), int(levels.max())
+    level = top
+    for level in range(top, -1, -1):
+        possible = bands(shells, shells.half_diagonal_m * (2**level - 1), reach_m, at_least=True)
+        parents = _affordable(shells, race, cells, budget, 8)
+        joining = roots(shells, first, last, np.flatnonzero(levels == level), level)
+        joining = _affordable(shells, race, joining, budget, 1)
+        kept = []
+        for block in _blocks(shells, parents, 8):
+            if perf_counter() >= deadline:
+                kept.append(parents[slice(block.start, None)])
+                break
+            kept.append(_sift(shells, possible, split(parents[block], level), level, race, deadline))
+        for block in _blocks(shells, joining, 1):
+            kept.append(_sift(shells, possible, joining[block], level, race, deadline))
+        cells = joined(shells, kept)
+        if perf_counter() >= deadline:
             break
-        if len(bounds) > _PROBED_AMONG:
-            # A better voxel found now, in the likeliest cells, spares the levels below.
-            likeliest = np.argpartition(-bounds, _PROBED_CELLS)[:_PROBED_CELLS]
-            cells = parents[:, likeliest] + (1 << level >> 1)
-            votes = _count(voters, certain, _centres_m(voters, cells, 0))
-            cells_counted += _PROBED_CELLS
-            if votes.max() > best:
-                best, best_voxel = int(votes.max()), cells[:, votes.argmax()]
-                survives = bounds >= rival_votes(best, rival_share)
-                parents, bounds = parents[:, survives], bounds[survives]
-        step = level if len(bounds) << (3 * level) <= _JUMP_CELLS else 1
-        level -= step
-    return _ranked(shells, certain, parents, bounds, best_voxel, rival_share, cells_counted, unsearched_bound)
+        if level:
+            cells = _probed(shells, certain, cells, level, race)
+    if perf_counter() >= deadline:
+        race.leave(cells)
+        race.unsearched[levels < level] = shells.num_voters[levels < level]
+        cells = no_cells(shells)
+    voxels, votes, owner = _counted(shells, certain, cells, race, deadline)
+    return _founds(shells, voxels, votes, owner, race, starts, start_votes)
 
 
-def _split(
-    voters: Voters, bands: Float32Array, parents: IntArray, level: int, step: int, required: int
-) -> tuple[IntArray, IntArray]:
-    """Cells (3, M) of `level` within parents (3, P) of level + step that can have `required` votes; bounds
-    (M,).
-    """
-    offsets = (_OCTANTS if step == 1 else _cube(2**step)) << level
-    cells_kept, bounds_kept = [parents[:, :0]], [np.empty(0, np.int64)]
-    block = max(1, _BLOCK_CELLS // 8**step)
-    for begin in range(0, parents.shape[1], block):
-        cells = (parents[:, begin : begin + block, None] + offsets[:, None, :]).reshape(3, -1)
-        counts = _count(voters, bands, _centres_m(voters, cells, level))
-        survives = np.flatnonzero(counts >= required)
-        cells_kept.append(cells[:, survives])
-        bounds_kept.append(counts[survives])
-    return np.concatenate(cells_kept, axis=1), np.concatenate(bounds_kept)
+def _start(shells: Shells, seeds: FloatArray, rival_share: float) -> tuple[IntArray, IntArray, Race]:
+    """Start voxels (3, J (S + 1)) of J keypoints with their votes, and the best of each."""
+    keypoints, first = np.arange(len(shells)), np.array(shells.starts[:-1])
+    # A voxel at the first shell has its vote, so that the best known is hardly ever none.
+    first += np.array([np.isfinite(shells.radii_m[shells.columns(j)]).argmax() for j in range(len(shells))])
+    lowest_m, highest_m = shells.rule.bounds_m(shells.voxel_m)
+    on_shell = -0.5 * shells.lift[1:, first]
+    on_shell[0] += np.maximum(shells.radii_m[first] + 0.5 * (lowest_m + highest_m), 0.0)
+    # A seed may have diverged; 2^40 voxels is far from any, yet exact in int64 and float64.
+    near = np.clip(seeds / shells.voxel_m - shells.origin.T[:, None], -(2.0**40), 2.0**40)
+    starts = np.rint(np.concatenate(((on_shell / shells.voxel_m).T[:, None], near), axis=1)).astype(np.int64)
+    num_starts = starts.shape[1]
+    starts = starts.reshape(-1, 3).T
+    votes = exact_count(shells, starts, np.repeat(keypoints, num_starts))
+    best = votes.reshape(-1, num_starts).argmax(axis=1) + num_starts * keypoints
+    required = np.array([rival_votes(int(each), rival_share) for each in votes[best]])
+    zeros = np.zeros((2, len(shells)), np.int64)
+    return starts, votes, Race(starts[:, best], votes[best], rival_share, required, zeros[0], zeros[1])
 
 
-def _ranked(
+def _affordable(shells: Shells, race: Race, cells: Cells, budget: IntArray, children: int) -> Cells:
+    """The likeliest cells whose `children` each keypoint's budget and the memory allow; the others are left."""
+    # Half of what is left for each level, that a search cut short still ends at voxels and their recount.
+    allowed = (budget - race.evaluations) // 2 // shells.num_voters // children
+    counts = np.bincount(cells.owner, minlength=len(shells))
+    most = max(_MAX_CELLS, _MAX_CELLS_EACH * len(shells)) // children
+    allowed = np.minimum(allowed, _largest_share(counts, most))
+    excessive = np.flatnonzero(counts > allowed)
+    if len(excessive) == 0:
+        return cells
+    edges = keypoint_edges(shells, cells.owner)
+    left = np.zeros(len(cells), np.bool_)
+    for j in excessive:
+        order = np.argsort(-cells.bounds[edges[j] : edges[j + 1]], kind="stable")
+        left[edges[j] + order[max(0, allowed[j]) :]] = True
+    race.leave(cells[left])
+    return cells[~left]
+
+
+def _largest_share(counts: IntArray, total: int) -> int:
+    """How many each may have at most of what it counts, so that together they have no more than the total."""
+    if counts.sum() <= total:
+        return total
+    for taken, wanted in enumerate(np.sort(counts).tolist()):
+        share = total // (len(counts) - taken)
+        if wanted > share:
+            return share
+        total -= wanted
+    return total
+
+
+def _blocks(shells: Shells, cells: Cells, children: int) -> Iterable[slice]:
+    most = min(_BLOCK_CELLS, _BLOCK_EVALUATIONS // int(shells.num_voters.max()))
+    step = max(1, most // children)
+    return (slice(begin, begin + step) for begin in range(0, len(cells), step))
+
+
+def _sift(shells: Shells, possible: Float32Array, cells: Cells, level: int, race: Race, deadline: float) -> Cells:
+    """Those of the cells that can have the required votes, once all voters are asked; at the deadline, so far."""
+    centres = lifted(shells, cells.corners, level)
+    slack = cells.bounds - race.required[cells.owner]
+    rows, edges = np.arange(len(cells)), keypoint_edges(shells, cells.owner)
+    for block in range(shells.num_blocks):
+        if len(rows) == 0 or perf_counter() >= deadline:
+            break
+        counts = count_blocks(shells, possible, range(block, block + 1), centres, edges.tolist())
+        race.evaluations += (edges[1:] - edges[:-1]) * shells.widths
+        tally = cells.tallies[block]
+        slack -= tally.take(rows)
+        slack += counts
+        tally[rows] = counts
+        survives = np.flatnonzero(slack >= 0)
+        rows, slack, edges = rows.take(survives), slack.take(survives), survives.searchsorted(edges)
+        if block + 1 < shells.num_blocks:
+            centres = centres.take(survives, axis=1)
+    owner = cells.owner.take(rows)
+    return Cells(
+        cells.corners.take(rows, axis=1), owner, slack + race.required[owner], cells.tallies.take(rows, axis=1)
+    )
+
+
+def _probed(shells: Shells, certain: Float32Array, cells: Cells, level: int, race: Race) -> Cells:
+    """The cells that survive when the centres of the likeliest are voxels too: a better one spares the levels below."""
+    picks = [
+        first + np.argpartition(-cells.bounds[first:last], _PROBED_CELLS)[:_PROBED_CELLS]
+        for first, last in pairwise(keypoint_edges(shells, cells.owner).tolist())
+        if last - first > _PROBED_AMONG
+    ]
+    if not picks:
+        return cells
+    rows = np.concatenate(picks)
+    voxels, owner = cells.corners[:, rows] + (1 << level >> 1), cells.owner[rows]
+    race.evaluations += np.bincount(owner, minlength=len(shells)) * shells.num_voters
+    known = race.votes.copy()
+    race.offer(voxels, count(shells, certain, lifted(shells, voxels, 0), owner), owner)
+    return cells[cells.bounds >= race.required[cells.owner]] if (race.votes > known).any() else cells
+
+
+def _counted(
+    shells: Shells, certain: Float32Array, cells: Cells, race: Race, deadline: float
+) -> tuple[IntArray, IntArray, NDArray[np.intp]]:
+    """The voxels that are left, their exact votes and owners; where both float32 bounds agree, they are those."""
+    voxels, owner = cells.corners, cells.owner
+    votes = count(shells, certain, lifted(shells, voxels, 0), owner)
+    race.evaluations += np.bincount(owner, minlength=len(shells)) * shells.num_voters
+    unsure = np.flatnonzero(votes != cells.bounds)
+    recounted = 0
+    for where, exact in exact_counts(shells, voxels[:, unsure], owner[unsure]):
+        votes[unsure[where]] = exact
+        recounted = where.stop
+        if perf_counter() >= deadline:
+            break
+    unsure = unsure[recounted:]
+    race.leave(cells[unsure])
+    return np.delete(voxels, unsure, axis=1), np.delete(votes, unsure), np.delete(owner, unsure)
+
+
+def _founds(
     shells: Shells,
-    certain: Float32Array,
     voxels: IntArray,
-    bounds: IntArray,
-    best_voxel: IntArray,
-    rival_share: float,
-    cells_counted: int,
-    unsearched_bound: int,
-) -> Found:
-    """The surviving voxels (3, M) with their exact votes; where both float32 bounds agree, they are those."""
-    votes = _count(shells.voters, certain, _centres_m(shells.voters, voxels, 0))
-    unsure = np.flatnonzero(votes != bounds)
-    votes[unsure] = _exact_count(shells, voxels[:, unsure])
-    evaluations = (cells_counted + len(votes)) * len(shells.radii_m)
-    if unsearched_bound:
-        # The best voxel known may be in a cell that the budget left out.
-        voxels = np.concatenate((voxels, best_voxel[:, None]), axis=1)
-        votes = np.append(votes, _exact_count(shells, best_voxel[:, None]))
-    rivals = votes >= rival_votes(int(votes.max()), rival_share)
+    votes: IntArray,
+    owner: NDArray[np.intp],
+    race: Race,
+    starts: IntArray,
+    start_votes: IntArray,
+) -> list[Found]:
+    """What is found of each keypoint, from voxels (3, M) with exact votes (M,) of keypoints `owner` (M,), ascending."""
+    edges, num_starts = keypoint_edges(shells, owner), starts.shape[1] // len(shells)
+    founds = []
+    for j in range(len(shells)):
+        mine = slice(edges[j], edges[j + 1])
+        own_voxels, own_votes = voxels[:, mine], votes[mine]
+        if race.unsearched[j]:
+            # The best voxels known may be in cells that were left out.
+            seeds, best = slice(j * num_starts, (j + 1) * num_starts), race.voxels[:, j, None]
+            own_voxels = np.concatenate((own_voxels, starts[:, seeds], best), axis=1)
+            best_votes = exact_count(shells, best, np.array([j]))
+            own_votes = np.concatenate((own_votes, start_votes[seeds], best_votes))
+        own_voxels, own_votes = _sorted_rivals(own_voxels, own_votes, race.rival_share)
+        founds.append(
+            Found(own_voxels.T + shells.origin[:, j], own_votes, int(race.evaluations[j]), int(race.unsearched[j]))
+        )
+    return founds
+
+
+def _sorted_rivals(voxels: IntArray, votes: IntArray, rival_share: float) -> tuple[IntArray, IntArray]:
+    """The distinct voxels (3, M) with a rival's votes (M,), most votes first, then C order."""
+    rivals = votes >= rival_votes(int(votes.max(initial=0)), rival_share)
     voxels, votes = voxels[:, rivals], votes[rivals]
     order = np.lexsort((*voxels[::-1], -votes))
     voxels, votes = voxels[:, order], votes[order]
-    fresh = np.append(True, (voxels[:, 1:] != voxels[:, :-1]).any(axis=0))
-    return Found(voxels[:, fresh].T + shells.voters.origin, votes[fresh], evaluations, unsearched_bound)
+    fresh = np.ones(len(votes), np.bool_)
+    fresh[1:] = (voxels[:, 1:] != voxels[:, :-1]).any(axis=0)
+    return voxels[:, fresh], votes[fresh]

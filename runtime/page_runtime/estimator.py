@@ -22,12 +22,14 @@ from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
 from page_runtime.registration import Ambiguous, Registration, register_part
 from page_runtime.sampling import Region, RegionSample, sample_region
-from page_runtime.scoring import KeypointVotes, score_keypoints
+from page_runtime.scoring import KeypointVotes, score_parts
 from page_runtime.template import Template
 from page_runtime.uncertainty import with_common_error
 
 MIN_PART_POINTS = 24
 MAX_VOTERS = 512
+# Of a frame: several times what its votes need, and some 50 ms where radii agree on nothing.
+MAX_EVALUATIONS = 40_000_000
 STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
 
 
@@ -66,8 +68,11 @@ def pose_from_output(
     points = sample.points_camera[: sample.num_distinct]
     labels = output.part_logits[: sample.num_distinct].argmax(axis=1)
     category = metadata.category
+    members = [np.flatnonzero(labels == index) for index in range(len(category.parts))]
+    votes = _votes(members, points, output, metadata)
+    watch.stage("scoring")
     found = tuple(
-        _register(part, index, points, np.flatnonzero(labels == index), output, metadata, watch)
+        _register(part, index, points, members[index], votes.get(index), output, watch)
         for index, part in enumerate(category.parts)
     )
     settled = settle(category, [() if isinstance(one, str) else one.evidence for one in found])
@@ -110,22 +115,37 @@ class _Found:
     num_points: int
 
 
+def _votes(
+    members: Sequence[NDArray[np.intp]],
+    points_camera: NDArray[np.float32],
+    output: NetworkOutput,
+    metadata: BundleMetadata,
+) -> dict[int, tuple[KeypointVotes, ...]]:
+    """The votes of every part with enough points, by its index; `members` are the points of each part."""
+    num_voted = metadata.category.num_voted
+    seen = [index for index, own in enumerate(members) if len(own) >= MIN_PART_POINTS]
+    # A prefix of the progressive order covers the part evenly.
+    voters = [members[index][:MAX_VOTERS] for index in seen]
+    votes = score_parts(
+        [(points_camera[own], output.radii_m[own, :num_voted]) for own in voters],
+        voxel_m=metadata.voxel_m,
+        max_evaluations=MAX_EVALUATIONS // max(1, num_voted * len(seen)),
+    )
+    return dict(zip(seen, votes, strict=True))
+
+
 def _register(
     part: Part,
     index: int,
     points_camera: NDArray[np.float32],
     members: NDArray[np.intp],
+    votes: tuple[KeypointVotes, ...] | None,
     output: NetworkOutput,
-    metadata: BundleMetadata,
     watch: Stopwatch,
 ) -> _Found | str:
-    """Votes, then pose, of one part from its points (`members` indexes points and outputs alike), or why not."""
-    if len(members) < MIN_PART_POINTS:
+    """Pose of one part from its points (`members` indexes points and outputs alike) and votes, or why not."""
+    if votes is None:
         return f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed"
-    voters = members[:MAX_VOTERS]  # a prefix of the progressive order covers the part evenly
-    voted_radii_m = output.radii_m[voters, : metadata.category.num_voted]
-    votes = score_keypoints(points_camera[voters], voted_radii_m, voxel_m=metadata.voxel_m)
-    watch.stage("scoring")
     extents_m = output.extents_m[index].astype(np.float64)
     extents_unit = extents_m / np.linalg.norm(extents_m)
     registration = register_part(

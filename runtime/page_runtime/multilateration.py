@@ -3,10 +3,11 @@
 Two users. `scoring` needs start positions whose vote count bounds its search from below, and the sub-voxel
 position of a peak; `registration` needs an estimate of every keypoint of a part, and the sums over points
 that are the normal equations of a part's pose. Both are batched over rows, one row for each (keypoint,
-hypothesis), because at 500 points the cost of a numpy call exceeds the cost of its arithmetic.
+hypothesis), because at 500 points the cost of a numpy call exceeds the cost of its arithmetic. `stacked` anchors of
+several parts do all of it for all parts at once.
 
-Shapes: m points, H rows. Lengths in metres, positions in the frame of the points (here always the
-camera's).
+Shapes: m points, H rows, n keypoints; all may follow one axis of P parts, that of the anchors. Lengths in metres,
+positions in the frame of the points (here always the camera's).
 """
 
 from collections.abc import Sequence
@@ -69,6 +70,26 @@ def anchors_from(points: NDArray[np.floating]) -> Anchors:
     return Anchors(origin, relative, squares[0] + squares[3] + squares[5], features)
 
 
+def stacked(parts: Sequence[Anchors]) -> Anchors:
+    """One of P parts, each array with a first axis (P, ...). Points that fill a part up to the most are at its origin;
+    their radii must be UNUSABLE_RADIUS_M.
+    """
+    most = max(len(part.norm2) for part in parts)
+
+    def filled(arrays: Sequence[FloatArray]) -> FloatArray:
+        result = np.zeros((len(arrays), most, *arrays[0].shape[1:]))
+        for row, array in zip(result, arrays, strict=True):
+            row[: len(array)] = array
+        return result
+
+    return Anchors(
+        np.stack([part.origin for part in parts])[:, None],
+        filled([part.relative for part in parts]),
+        filled([part.norm2 for part in parts])[:, None],
+        filled([part.features for part in parts]),
+    )
+
+
 def thinned(count: int, limit: int) -> NDArray[np.intp]:
     """Indices of at most `limit` of `count` rows, evenly spread, the same at every call."""
     if count <= limit:
@@ -78,9 +99,9 @@ def thinned(count: int, limit: int) -> NDArray[np.intp]:
 
 def distances(positions: FloatArray, anchors: Anchors) -> FloatArray:
     """(H, m) m, from (H, 3) positions given relative to the anchors' origin to every anchor."""
-    squared = positions @ (-2.0 * anchors.relative.T)
+    squared = positions @ (-2.0 * anchors.relative.mT)
     squared += anchors.norm2
-    squared += np.einsum("hk,hk->h", positions, positions)[:, None]
+    squared += np.einsum("...hk,...hk->...h", positions, positions)[..., None]
     # A millionth of a metre keeps the unit vectors finite where a position meets a point.
     np.maximum(squared, 1e-12, out=squared)
     return np.sqrt(squared, out=squared)
@@ -92,11 +113,11 @@ def gated_scales(residuals: FloatArray, gate_m: float, floor_m: float) -> FloatA
     The gate keeps the median honest above 50 % outliers, where that of all residuals is an outlier itself.
     """
     magnitudes = np.abs(residuals).astype(np.float32)
-    magnitudes.sort(axis=1)
-    within = np.count_nonzero(magnitudes <= gate_m, axis=1)
-    median = magnitudes[np.arange(len(magnitudes)), np.maximum(within - 1, 0) // 2].astype(np.float64)
+    magnitudes.sort(axis=-1)
+    within = np.count_nonzero(magnitudes <= gate_m, axis=-1)[..., None]
+    median = np.take_along_axis(magnitudes, np.maximum(within - 1, 0) // 2, axis=-1).astype(np.float64)
     scales = np.where(within > 0, _SIGMAS * 1.4826 * median, gate_m)
-    return np.minimum(np.maximum(scales, floor_m), max(gate_m, floor_m))[:, None]
+    return np.minimum(np.maximum(scales, floor_m), max(gate_m, floor_m))
 
 
 def radial_system(
@@ -122,13 +143,13 @@ def radial_system(
     ratio *= ratio
     weights = np.reciprocal(ratio, out=ratio)
     pull = weights / distance
-    first = (pull * residuals) @ anchors.features[:, :4]
+    first = (pull * residuals) @ anchors.features[..., :4]
     pull /= distance
     sums = pull @ anchors.features
-    cross = positions[:, :, None] * sums[:, None, 1:4]
-    outer = positions[:, :, None] * (positions * sums[:, :1])[:, None, :]
-    hessian = outer - cross - cross.transpose(0, 2, 1) + sums[:, _QUADRATIC]
-    gradient = positions * first[:, :1] - first[:, 1:]
+    cross = positions[..., :, None] * sums[..., None, 1:4]
+    outer = positions[..., :, None] * (positions * sums[..., :1])[..., None, :]
+    hessian = outer - cross - cross.mT + sums[..., _QUADRATIC]
+    gradient = positions * first[..., :1] - first[..., 1:]
     return RadialSystem(hessian, gradient, residuals, weights, scales_m)
 
 
@@ -142,7 +163,7 @@ def refine_positions(
     """
     current = positions - anchors.origin
     for scale_m in schedule_m:
-        scales_m = np.full((len(current), 1), scale_m)
+        scales_m = np.full((*current.shape[:-1], 1), scale_m)
         system = radial_system(current, anchors, radii_m, scales_m, scale_m, scale_m)
         current = current - damped_step(system.hessian, system.gradient, limit=0.25)
     return current + anchors.origin
@@ -165,17 +186,17 @@ def settle_positions(
 def damped_step(hessian: FloatArray, gradient: FloatArray, *, limit: float) -> FloatArray:
     """(H, d): H^-1 g with a trace of damping, its first three components together no longer than `limit`."""
     size = hessian.shape[-1]
-    trace = hessian.diagonal(axis1=1, axis2=2).sum(axis=1)[:, None, None]
+    trace = hessian.trace(axis1=-2, axis2=-1)[..., None, None]
     damped = hessian + (1e-6 / size * trace + 1e-12) * np.eye(size)
-    step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-    length = np.sqrt(np.einsum("hk,hk->h", step[:, :3], step[:, :3]))[:, None]
+    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
+    length = np.sqrt(np.einsum("...hk,...hk->...h", step[..., :3], step[..., :3]))[..., None]
     return step * np.minimum(1.0, limit / np.maximum(length, 1e-12))
 
 
 def principal_axes(relative: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Standard deviations (3,) m, largest first, and axes (3, 3) in columns, of centred points (m, 3)."""
-    variances, axes = np.linalg.eigh(relative.T @ relative / max(len(relative), 1))
-    return np.sqrt(np.maximum(variances[::-1], 0.0)), np.ascontiguousarray(axes[:, ::-1])
+    variances, axes = np.linalg.eigh(relative.mT @ relative / max(relative.shape[-2], 1))
+    return np.sqrt(np.maximum(variances[..., ::-1], 0.0)), np.ascontiguousarray(axes[..., ::-1])
 
 
 def linear_hypotheses(anchors: Anchors, radii_m: FloatArray) -> FloatArray:
@@ -188,32 +209,38 @@ def linear_hypotheses(anchors: Anchors, radii_m: FloatArray) -> FloatArray:
     """
     _, axes = principal_axes(anchors.relative)
     local = anchors.relative @ axes
-    features = np.concatenate((local, np.ones((len(local), 1))), axis=1)
-    products = (features[:, :, None] * features[:, None, :]).reshape(len(local), 16)
+    features = np.concatenate((local, np.ones((*local.shape[:-1], 1))), axis=-1)
+    products = (features[..., :, None] * features[..., None, :]).reshape(*local.shape[:-1], 16)
     usable = radii_m < UNUSABLE_RADIUS_M
     radii_m = np.where(usable, radii_m, 0.0)
     targets = radii_m * radii_m - anchors.norm2
-    middle = np.maximum(np.median(radii_m, axis=1, keepdims=True), 1e-3)
+    # Unusable radii are zeros here and come first, so this is the median of the others.
+    middle_at = radii_m.shape[-1] - 1 - np.count_nonzero(usable, axis=-1)[..., None] // 2
+    middle = np.take_along_axis(np.sort(radii_m, axis=-1), middle_at, axis=-1)
+    middle = np.maximum(middle, 1e-3)
     # e = (f.theta - t) / 2r is the radius error; a floor under r, as tiny radii would take all the weight.
     precision = usable / np.maximum(radii_m, 0.5 * middle)
-    ridge = np.eye(4) * (1e-9 * (1.0 + np.trace(anchors.relative.T @ anchors.relative) / len(local)))
+    spread2 = np.einsum("...mk,...mk->...", local, local)[..., None, None, None] / local.shape[-2]
+    ridge = np.eye(4) * (1e-9 * (1.0 + spread2))
     weights = precision * precision
-    matrix = np.empty((len(radii_m), 4, 4))
-    vector = np.empty((len(radii_m), 4, 1))
-    solution = np.zeros((len(radii_m), 4, 1))
+    rows = radii_m.shape[:-1]
+    matrix = np.empty((*rows, 4, 4))
+    vector = np.empty((*rows, 4, 1))
+    solution = np.zeros((*rows, 4, 1))
     for _ in range(_L1_ROUNDS):
-        matrix = (weights @ products).reshape(-1, 4, 4)
-        matrix += ridge * (matrix[:, 3:, 3:] + 1e-12)
-        vector = ((weights * targets) @ features)[:, :, None]
+        matrix = (weights @ products).reshape(*rows, 4, 4)
+        matrix += ridge * (matrix[..., 3:, 3:] + 1e-12)
+        vector = ((weights * targets) @ features)[..., None]
         solution = np.linalg.solve(matrix, vector)
-        errors = 0.5 * precision * np.abs(solution[:, :, 0] @ features.T - targets)
+        errors = 0.5 * precision * np.abs(solution[..., 0] @ features.mT - targets)
         weights = precision * precision / (errors + 0.01 * middle)
-    planar = np.linalg.solve(matrix[:, _PLANAR[:, None], _PLANAR], vector[:, _PLANAR])[:, :, 0]
-    in_plane = -0.5 * planar[:, :2]
-    height2 = planar[:, 2] - np.einsum("nk,nk->n", in_plane, in_plane)
-    height = np.sqrt(np.maximum(height2, (0.05 * middle[:, 0]) ** 2))
-    starts = np.empty((len(radii_m), 3, 3))
-    starts[:, :2, :2] = in_plane[:, None, :]
-    starts[:, 0, 2], starts[:, 1, 2] = height, -height
-    starts[:, 2] = -0.5 * solution[:, :3, 0]
-    return starts @ axes.T + anchors.origin
+    planar = np.linalg.solve(matrix[..., _PLANAR[:, None], _PLANAR], vector[..., _PLANAR, :])[..., 0]
+    in_plane = -0.5 * planar[..., :2]
+    height2 = planar[..., 2] - np.einsum("...nk,...nk->...n", in_plane, in_plane)
+    height = np.sqrt(np.maximum(height2, (0.05 * middle[..., 0]) ** 2))
+    starts = np.empty((*rows, 3, 3))
+    starts[..., :2, :2] = in_plane[..., None, :]
+    starts[..., 0, 2], starts[..., 1, 2] = height, -height
+    starts[..., 2, :] = -0.5 * solution[..., :3, 0]
+    starts = starts.reshape(*rows[:-1], -1, 3) @ axes.mT + anchors.origin
+    return starts.reshape(*rows, 3, 3)
