@@ -106,3 +106,19 @@ def _frames(document: dict[str, Any]) -> Any:
     place.legend(fontsize=8)
     place.grid(alpha=0.3)
     return figure
+
+
+def draw_reliability(document: dict[str, Any], path: Path) -> None:
+    """The share of right poses over their mean confidence, with its standard error and the number of parts."""
+    figure, axes = plt.subplots(figsize=(5.0, 4.4), layout="constrained")
+    axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, linestyle="--", label="as it should be")
+    mean = [one["confidence"] for one in document["bins"]]
+    right = [one["right"] for one in document["bins"]]
+    errors = [(max(r * (1 - r), 0.02) / one["count"]) ** 0.5 for r, one in zip(right, document["bins"], strict=True)]
+    axes.errorbar(mean, right, yerr=errors, marker="o", capsize=3, label=document["bundle"])
+    for x, y, one in zip(mean, right, document["bins"], strict=True):
+        axes.annotate(str(one["count"]), (x, y), textcoords="offset points", xytext=(6, -11), fontsize=8)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.05), xlabel="confidence", ylabel="share within 5 deg and 5 cm")
+    axes.legend(loc="upper left")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
