@@ -10,6 +10,7 @@ import numpy as np
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Joint
+from page_runtime.confidence import FEATURES
 from page_runtime.network import Network
 
 
@@ -43,6 +44,9 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
                 f"    {i}{' voted' if i < category.num_voted else '      '}    {_numbers(keypoint)}"
                 for i, keypoint in enumerate(part.keypoints_unit)
             ),
+            "  template     none: poses are from radii alone"
+            if part.template is None
+            else f"  template     {len(part.template.points_unit)} points with normals",
         ]
     lines += [
         f"joint          {joint.name}: {category.parts[joint.child].name} against {category.parts[joint.parent].name}, "
@@ -51,6 +55,14 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         f"state {_limits(joint)}, 0 where both frames are parallel"
         for joint in category.joints
     ]
+    if metadata.confidence is None:
+        lines.append("confidence     not calibrated: the share of radii that agree with the pose")
+    else:
+        weights = zip(FEATURES, metadata.confidence.weights, strict=True)
+        lines += [
+            "confidence     probability of 5 deg and 5 cm, calibrated; weights of its signs:",
+            "  " + ", ".join(f"{name} {weight:.3g}" for name, weight in weights),
+        ]
     lines += ["provenance", *(f"  {name:<12} {json.dumps(value)}" for name, value in metadata.provenance.items())]
     return "\n".join(lines) + "\n"
 
