@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from page_runtime.articulation import Articulation, PartEvidence, articulate
 from page_runtime.category import Category, Joint, JointGeometry, JointKind, Part
-from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
+from page_runtime.geometry import invert, rotation_about, rotation_angle, transform_from
 from page_runtime.joints import joint_residual, joint_state
+from page_runtime.similarity import FloatArray as Array
 from page_runtime.similarity import Similarities, inverse_left_jacobian, so3_exp, so3_log
 
 SIZE_M = 0.3
@@ -30,7 +31,7 @@ AXES: dict[JointKind, tuple[float, float, float]] = {
 
 def chain(kinds: tuple[JointKind, ...], limits: tuple[float, float] = (-0.2, 2.9)) -> Category:
     part = Part("0", "", np.eye(3), EXTENTS, (0.1, 1.0))
-    geometry = JointGeometry(*PIVOTS, (0.002,) * 3, (0.002,) * 3, 0.0, 0.01)
+    geometry = JointGeometry(*PIVOTS, (0.002, 0.002, 0.002), (0.002, 0.002, 0.002), 0.0, 0.01)
     return Category(
         name="chain",
         parts=tuple(replace(part, name=str(k)) for k in range(len(kinds) + 1)),
@@ -62,7 +63,7 @@ def evidence(T: Array, sigmas: Array, noise: Array | None = None) -> PartEvidenc
 
 def random_pose(rng: np.random.Generator) -> Array:
     R = so3_exp(rng.normal(size=(1, 3)))[0]
-    return transform_from(R, np.array([*rng.normal(size=2) * 0.2, 0.8]))
+    return np.asarray(transform_from(R, np.array([*rng.normal(size=2) * 0.2, 0.8])), np.float64)
 
 
 SIGMAS = np.array([0.08] * 3 + [0.01] * 3 + [0.03])

@@ -16,7 +16,7 @@ import numpy as np
 
 from page_runtime.articulation import CONTRADICTION, PartEvidence, joint_disagreement, limit_excess
 from page_runtime.category import Category, Joint
-from page_runtime.geometry import Array
+from page_runtime.similarity import FloatArray
 
 # Costs are squared deviations: those of a joint, of at most _MOST, or a half turn's own.
 _HALF_TURN = 30.0
@@ -84,13 +84,13 @@ def _options(own: Sequence[PartEvidence], *, with_turns: bool) -> list[Settled]:
     return options
 
 
-def _turned(evidence: PartEvidence, turn: Array) -> PartEvidence:
+def _turned(evidence: PartEvidence, turn: FloatArray) -> PartEvidence:
     T = evidence.T_camera_part.copy()
     T[:3, :3] = T[:3, :3] @ turn
     return replace(evidence, T_camera_part=T)
 
 
-def _total_cost(joints: Sequence[Joint], options: Sequence[Sequence[Settled]]) -> Array:
+def _total_cost(joints: Sequence[Joint], options: Sequence[Sequence[Settled]]) -> FloatArray:
     """Cost of every combination, one axis a part (of length 1 where it has no pose)."""
     counts = [max(1, len(own)) for own in options]
     total = np.zeros(counts)

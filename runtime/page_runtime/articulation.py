@@ -18,7 +18,7 @@ from page_runtime.category import Category, Joint
 from page_runtime.geometry import Array, transform_from
 from page_runtime.joints import Residual, joint_residual, joint_state, opposed
 from page_runtime.pose import JointState
-from page_runtime.similarity import Similarities, inverse_left_jacobian, so3_log
+from page_runtime.similarity import FloatArray, Similarities, inverse_left_jacobian, so3_log
 
 # Root mean square of a joint's residuals in their standard deviations above which its parts contradict each other.
 CONTRADICTION = 3.5
@@ -36,7 +36,7 @@ class PartEvidence:
     T_camera_part: Array
     scale_m: float
     covariance: Array
-    extents_unit: Array
+    extents_unit: FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,8 +54,8 @@ class _Object:
 
     row_of: dict[int, int]
     start: Similarities
-    information: Array
-    extents_unit: Array
+    information: FloatArray
+    extents_unit: FloatArray
 
     def rows(self, joint: Joint) -> list[int]:
         return [self.row_of[joint.parent], self.row_of[joint.child]]
@@ -68,7 +68,7 @@ class _Object:
         rows = self.rows(joint)
         return joint_residual(joint, poses.take(np.array(rows)), self.extents_unit[rows])
 
-    def state(self, joint: Joint, poses: Similarities) -> tuple[float, Array]:
+    def state(self, joint: Joint, poses: Similarities) -> tuple[float, FloatArray]:
         rows = self.rows(joint)
         return joint_state(joint, poses.take(np.array(rows)), self.extents_unit[rows])
 
@@ -157,7 +157,7 @@ def _given(part: PartEvidence | None) -> PartEvidence:
 
 
 def _similarities(parts: Sequence[PartEvidence]) -> Similarities:
-    transforms = np.array([part.T_camera_part for part in parts])
+    transforms = np.array([part.T_camera_part for part in parts], np.float64)
     return Similarities(transforms[:, :3, :3], transforms[:, :3, 3], np.array([part.scale_m for part in parts]))
 
 
@@ -201,11 +201,12 @@ def _solved(
             derivative = derivative / _LIMIT_SIGMA[joint.kind]
             hessian[np.ix_(columns, columns)] += np.outer(derivative, derivative)
             gradient[columns] += derivative * ((value - held[joint.name]) / _LIMIT_SIGMA[joint.kind])
-        poses = poses.moved(-np.linalg.solve(hessian, gradient).reshape(-1, _SIZE))
-    return poses, np.linalg.inv(hessian)
+        steps = np.asarray(np.linalg.solve(hessian, gradient), np.float64)
+        poses = poses.moved(-steps.reshape(-1, _SIZE))
+    return poses, np.asarray(np.linalg.inv(hessian), np.float64)
 
 
-def _offset(poses: Similarities, start: Similarities) -> tuple[Array, Array]:
+def _offset(poses: Similarities, start: Similarities) -> tuple[FloatArray, FloatArray]:
     """(7K,) the step that leads from `start` to `poses`, and its derivative (7K,7K) by a further step."""
     turns = so3_log(poses.R @ start.R.transpose(0, 2, 1))
     offset = np.concatenate([turns, poses.t - start.t, np.log(poses.s / start.s)[:, None]], axis=1)

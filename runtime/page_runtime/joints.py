@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from page_runtime.category import Joint
-from page_runtime.geometry import Array
-from page_runtime.similarity import Similarities, inverse_left_jacobian, skew, so3_log
+from page_runtime.similarity import FloatArray, Similarities, inverse_left_jacobian, skew, so3_log
 
 # Play of a joint, and what an axis learned from many instances differs from this one's.
 AXIS_SIGMA_RAD = 0.006
@@ -24,11 +23,11 @@ _UNKNOWN_PIVOT = (0.0, 0.0, 0.0)
 class Residual:
     """value (m,), each number in its standard deviations; jacobian (m, 14)."""
 
-    value: Array
-    jacobian: Array
+    value: FloatArray
+    jacobian: FloatArray
 
 
-def joint_residual(joint: Joint, pair: Similarities, extents_unit: Array) -> Residual:
+def joint_residual(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> Residual:
     """How far two parts are from what their joint allows: direction, place and relative size.
 
     extents_unit: (2,3), the parts' boxes in their diagonals. Nothing, (0,) and (0,14), for a free joint.
@@ -47,7 +46,7 @@ def opposed(joint: Joint, pair: Similarities) -> bool:
     return joint.kind == "revolute" and bool(axes[0] @ axes[1] <= 0.0)
 
 
-def joint_state(joint: Joint, pair: Similarities, extents_unit: Array) -> tuple[float, Array]:
+def joint_state(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> tuple[float, FloatArray]:
     """The state and its derivative (14,): an angle [rad], of all its turns the one nearest the middle of the limits,
     or a displacement [m] along the axis; for a free joint the angle between the parts."""
     axis = pair.R[0] @ np.array(joint.axis)
@@ -89,7 +88,7 @@ def _turn(joint: Joint, pair: Similarities) -> Residual:
     return Residual(turn / AXIS_SIGMA_RAD, jacobian / AXIS_SIGMA_RAD)
 
 
-def _gap(joint: Joint, pair: Similarities, extents_unit: Array) -> tuple[Array, Array]:
+def _gap(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(3,) m from the joint's point seen from the parent to the same seen from the child, camera axes; (3,14)."""
     geometry = joint.geometry
     pivots = (_UNKNOWN_PIVOT, _UNKNOWN_PIVOT) if geometry is None else (geometry.pivot_parent, geometry.pivot_child)
@@ -103,7 +102,7 @@ def _gap(joint: Joint, pair: Similarities, extents_unit: Array) -> tuple[Array, 
     return places[1] - places[0], jacobian
 
 
-def _place(joint: Joint, pair: Similarities, extents_unit: Array) -> Residual:
+def _place(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> Residual:
     """The joint's point is the same seen from either part; on a prismatic joint, across its axis."""
     geometry = joint.geometry
     assert geometry is not None
