@@ -147,6 +147,8 @@ def _register(
     if votes is None:
         return f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed"
     extents_m = output.extents_m[index].astype(np.float64)
+    if not (np.isfinite(extents_m).all() and (extents_m > 0.0).all()):
+        return f"the network gives it no size: {extents_m.tolist()} m"
     extents_unit = extents_m / np.linalg.norm(extents_m)
     registration = register_part(
         points_camera[members],

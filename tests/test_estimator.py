@@ -1,0 +1,103 @@
+"""Whatever a network says, the estimator answers with finite poses or with reasons."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from page_runtime import Network, open_source
+from page_runtime.estimator import pose_from_output, sample_for
+from page_runtime.neighbours import find_neighbours
+from page_runtime.network import NetworkOutput
+from page_runtime.pose import NotSeen, PartPose
+from page_runtime.sampling import RegionSample
+
+
+@pytest.fixture(scope="module")
+def answered(oracle_bundle: Path, toy_recording: Path) -> tuple[Network, RegionSample, NetworkOutput]:
+    """The toy's bundle, its sample and the bundle's exact answer."""
+    network = Network(oracle_bundle, threads=1)
+    recorded = open_source(toy_recording).entries[0].read()
+    region = recorded.instances[0].region
+    assert region is not None
+    sample = sample_for(network.metadata, recorded.frame, region)
+    assert isinstance(sample, RegionSample)
+    return network, sample, network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+
+
+RNG = np.random.default_rng(0)
+CHANGES = {
+    "radii are not numbers": lambda o: replace(o, radii_m=np.full_like(o.radii_m, np.nan)),
+    "some radii are not numbers": lambda o: replace(
+        o, radii_m=np.where(RNG.random(o.radii_m.shape) < 0.3, np.nan, o.radii_m).astype(np.float32)
+    ),
+    "radii are negative": lambda o: replace(o, radii_m=-o.radii_m),
+    "radii are zero": lambda o: replace(o, radii_m=np.zeros_like(o.radii_m)),
+    "radii are random": lambda o: replace(o, radii_m=RNG.uniform(0, 2, o.radii_m.shape).astype(np.float32)),
+    "radii are huge": lambda o: replace(o, radii_m=np.full_like(o.radii_m, 1e30)),
+    "sides are not numbers": lambda o: replace(o, side_logits=np.full_like(o.side_logits, np.nan)),
+    "sizes are not numbers": lambda o: replace(o, extents_m=np.full_like(o.extents_m, np.nan)),
+    "sizes are infinite": lambda o: replace(o, extents_m=np.full_like(o.extents_m, np.inf)),
+    "sizes are zero": lambda o: replace(o, extents_m=np.zeros_like(o.extents_m)),
+    "labels are not numbers": lambda o: replace(o, part_logits=np.full_like(o.part_logits, np.nan)),
+    "labels are random": lambda o: replace(o, part_logits=RNG.normal(size=o.part_logits.shape).astype(np.float32)),
+    "all is background": lambda o: replace(o, part_logits=np.tile([0.0, 0.0, 1.0], (len(o.part_logits), 1))),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_nonsense_gives_reasons_or_finite_poses(answered: tuple[Network, RegionSample, NetworkOutput], change) -> None:
+    network, sample, output = answered
+    pose = pose_from_output(network.metadata, sample, change(output))
+    assert len(pose.parts) == len(pose.joints) + 1 == 2
+    for part in pose.parts:
+        if isinstance(part, NotSeen):
+            assert part.reason
+        else:
+            assert np.isfinite(part.T_camera_part).all()
+            assert np.isfinite(part.covariance).all()
+            assert (part.extents_m > 0).all()
+            assert 0.0 <= part.confidence <= 1.0
+    for joint in pose.joints:
+        assert (joint.value is None) == bool(joint.reason)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        lambda p: np.full_like(p, 0.7),
+        lambda p: np.linspace(0.5, 0.9, len(p), dtype=np.float32)[:, None] * np.ones(3, np.float32),
+        lambda p: p + np.float32(1e3),
+        lambda p: np.full_like(p, np.nan),
+    ],
+    ids=["all equal", "on one line", "a kilometre away", "not numbers"],
+)
+def test_degenerate_points_give_reasons_or_finite_poses(
+    answered: tuple[Network, RegionSample, NetworkOutput], points
+) -> None:
+    network, sample, output = answered
+    moved = replace(sample, points_camera=points(sample.points_camera))
+    for part in pose_from_output(network.metadata, moved, output).parts:
+        assert isinstance(part, NotSeen) or np.isfinite(part.T_camera_part).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 23])
+def test_a_few_points_are_not_a_part(answered: tuple[Network, RegionSample, NetworkOutput], count: int) -> None:
+    network, sample, output = answered
+    logits = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(output.part_logits), 1))
+    logits[:count] = [1.0, 0.0, 0.0]
+    base, lid = pose_from_output(network.metadata, sample, replace(output, part_logits=logits)).parts
+    assert isinstance(base, NotSeen)
+    assert base.reason.startswith(f"not seen: {count} of")
+    assert isinstance(lid, NotSeen)
+
+
+def test_the_exact_answer_gives_the_exact_pose(answered: tuple[Network, RegionSample, NetworkOutput]) -> None:
+    network, sample, output = answered
+    pose = pose_from_output(network.metadata, sample, output)
+    assert all(isinstance(part, PartPose) and part.vote_gap == 0 for part in pose.parts)
+    assert pose.joints[0].disagreement is not None
+    assert pose.joints[0].disagreement < 0.1
