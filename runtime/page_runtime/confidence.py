@@ -1,8 +1,8 @@
 """How likely a part's pose is right, from what the estimate shows of itself.
 
 "Right" is within 5 degrees and 5 cm of the truth. A logistic regression on a few signs of trouble, fitted for each
-bundle on validation frames (`page-export calibrate`), turns them into that probability. The signs are such that the
-answer cannot depend on where the object stands or how large it is.
+bundle on validation frames (`page-export calibrate`), turns them into that probability. None of them is a place or a
+length, but "right" counts centimetres: a category of much larger objects needs its own calibration.
 """
 
 from __future__ import annotations

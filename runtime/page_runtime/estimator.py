@@ -28,7 +28,7 @@ from page_runtime.uncertainty import with_common_error
 
 MIN_PART_POINTS = 24
 MAX_VOTERS = 512
-# Of a frame: several times what its votes need, and some 50 ms where radii agree on nothing.
+# Of a frame: two to three times what the votes of 2048 points need; a bound where radii agree on nothing.
 MAX_EVALUATIONS = 40_000_000
 STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
 
