@@ -54,7 +54,7 @@ def test_folding_batch_norms_changes_nothing(network: PageNetwork) -> None:
 
 
 def test_bundle_and_checkpoint_agree_on_outputs_and_poses(network: PageNetwork, bundle: Path, tmp_path: Path) -> None:
-    record_split("box", tmp_path / "recording", split="validation", frames=3)
+    record_split("box", tmp_path / "recording", split="validation", frames=3, width=480)
     parity = compare_on(Network(bundle, threads=1), network, tmp_path / "recording")
     assert parity.samples == 3
     assert max(parity.outputs.values()) < 1e-4

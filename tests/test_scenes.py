@@ -126,9 +126,10 @@ def test_masks_regions_and_shares_agree(views: list[SceneView]) -> None:
 def test_a_full_view_shows_the_same_poses_as_a_crop() -> None:
     rng = np.random.default_rng(11)
     scene = sample_scene("box", rng)
-    crop, whole = training_view(scene, rng, 96), full_view(scene, rng, 320, 240)
+    crop, whole = training_view(scene, rng, 96), full_view(scene, rng, 320)
     assert crop.frame.color.shape == (96, 96, 3)
-    assert whole.frame.depth_m.shape == (240, 320)
+    height = round(scene.camera.height * 320 / scene.camera.width)
+    assert whole.frame.depth_m.shape == (height, 320)
     for one, other in zip(crop.truths, whole.truths, strict=True):
         np.testing.assert_allclose(one.T_camera_part, other.T_camera_part)
         np.testing.assert_allclose(one.extents_m, other.extents_m)

@@ -79,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--frames", type=int, default=200)
     record.add_argument("--split", choices=SPLITS[1:], default="test")
     record.add_argument("--seed", type=int, default=0)
+    record.add_argument("--width", type=int, help="px (default: each scene's own camera)")
     record.add_argument("--jpeg", action="store_true", help="colour as .jpg, a tenth of the size")
     return parser
 
@@ -176,6 +177,7 @@ def _record(options: argparse.Namespace) -> None:
             split=options.split,
             frames=options.frames,
             seed=options.seed,
+            width=options.width,
             color_suffix=".jpg" if options.jpeg else ".png",
             on_frame=lambda: progress.advance(task),
         )

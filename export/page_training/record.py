@@ -49,18 +49,20 @@ def record_split(
     split: str,
     frames: int,
     seed: int = 0,
-    width: int = 640,
-    height: int = 480,
+    width: int | None = None,
     color_suffix: Literal[".png", ".jpg"] = ".png",
     on_frame: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write `frames` frames, each of another instance, of a split that training never sees."""
+    """Write `frames` frames, each of another instance, of a split that training never sees.
+
+    Every scene is recorded at its own camera's size, which is what training has seen, or `width` px wide.
+    """
     category = category_named(category_name)
     names = tuple(part.name for part in category.parts)
     rng = np.random.default_rng([zlib.crc32(category_name.encode()), SPLITS.index(split), 2**31 + seed])
     with RecordingWriter(path, category=category_name, part_names=names, color_suffix=color_suffix) as writer:
         for index in range(frames):
-            view = full_view(sample_scene(category_name, rng), rng, width, height)
+            view = full_view(sample_scene(category_name, rng), rng, width)
             recorded = recorded_frame(view, names, rng)
             timed = replace(recorded.frame, timestamp_s=index * FRAME_PERIOD_S, index=index)
             masks = [[view.part_mask == k + 1 for k in range(len(names))]]

@@ -76,17 +76,16 @@ def _within(positions: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
     return (positions >= -0.5) & (positions < size - 0.5)
 
 
-def full_view(scene: Scene, rng: Generator, width: int = 640, height: int = 480) -> SceneView:
-    """The whole frame at width x height (the scene's camera with its image plane fitted to this size)."""
-    scale = width / scene.camera.width
-    K = scene.camera.K.copy()
-    K[:2, :2] *= scale
-    K[0, 2], K[1, 2] = (
-        (K[0, 2] + 0.5) * scale - 0.5,
-        (height - 1) / 2 + (K[1, 2] - (scene.camera.height - 1) / 2) * scale,
-    )
-    camera = Camera(K=K, width=width, height=height, T_camera_world=scene.camera.T_camera_world)
-    return _view(scene, rng, camera, height, np.ones((height, width), dtype=bool))
+def full_view(scene: Scene, rng: Generator, width: int | None = None) -> SceneView:
+    """The whole frame as the scene's camera records it; `width` px wide where another width is asked for.
+
+    A narrower frame is that of a coarser camera, not a clean picture made smaller: noise and blur keep their size in
+    pixels.
+    """
+    camera = scene.camera
+    if width is not None:
+        camera = camera.resized(width, round(camera.height * width / camera.width))
+    return _view(scene, rng, camera, camera.height, np.ones((camera.height, camera.width), dtype=bool))
 
 
 def _view(scene: Scene, rng: Generator, camera: Camera, native: int, inside: NDArray[np.bool_]) -> SceneView:
