@@ -45,30 +45,31 @@ _MAX_CELLS_EACH = 2**13
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Found:
-    """Voxels (T, 3), lattice indices, and their votes (T,): maximum and rivals, best first, then C order;
-    none where no voxel is known to have a vote.
-
-    No voxel that was not searched has more votes than unsearched_bound, 0 if all were.
+    """Voxels (T, 3), lattice indices in C order, that have the most votes of those known; none where no voxel is known
+    to have a vote. No voxel that was not searched has more votes than unsearched_bound, 0 if all were.
     """
 
     voxels: IntArray
-    votes: IntArray
+    votes: int
     evaluations: int
     unsearched_bound: int
 
 
 @dataclass(eq=False, slots=True)
 class Race:
-    """What is known so far of each of J keypoints: its best voxel (3, J) from the origin with its votes (J,); required
-    (J,), the fewest votes of a voxel that is kept; evaluations (J,); the bound of unsearched voxels (J,).
+    """What is known so far of each of J keypoints: its best voxel (3, J) from the origin with its votes (J,);
+    evaluations (J,); the bound of unsearched voxels (J,).
     """
 
     voxels: IntArray
     votes: IntArray
-    rival_share: float
-    required: IntArray
     evaluations: IntArray
     unsearched: IntArray
+
+    @property
+    def required(self) -> IntArray:
+        """(J,) fewest votes of a voxel that is kept."""
+        return np.maximum(self.votes, 1)
 
     def offer(self, voxels: IntArray, votes: IntArray, owner: NDArray[np.intp]) -> None:
         """Take the better of voxels (3, M) with at least `votes` (M,)."""
@@ -77,29 +78,21 @@ class Race:
             if votes[at] > self.votes[keypoint]:
                 self.votes[keypoint] = votes[at]
                 self.voxels[:, keypoint] = voxels[:, at]
-                self.required[keypoint] = rival_votes(int(votes[at]), self.rival_share)
 
     def leave(self, cells: Cells) -> None:
         np.maximum.at(self.unsearched, cells.owner, cells.bounds)
 
 
-def rival_votes(votes: int, rival_share: float) -> int:
-    """Fewest votes of a rival; the small term keeps 0.95 * 100 from rounding up to 96."""
-    return max(1, math.ceil(rival_share * votes - 1e-9))
+WINDOW = cube(3) - 1
 
 
-_WINDOW = cube(3) - 1
-
-
-def search(
-    shells: Shells, seeds: FloatArray, rival_share: float, max_evaluations: int, deadline: float = math.inf
-) -> list[Found]:
-    """For each of J keypoints the voxels of most votes and their rivals, level by level from seeds (J, S, 3) m.
+def search(shells: Shells, seeds: FloatArray, max_evaluations: int, deadline: float = math.inf) -> list[Found]:
+    """For each of J keypoints the voxels of most votes, level by level from seeds (J, S, 3) m.
 
     Seeds only bound the search; they and the 27 voxels around the best are not part of the budget of max_evaluations
     for each keypoint. deadline: of `perf_counter`; the levels stop there.
     """
-    starts, start_votes, race = _start(shells, seeds, rival_share)
+    starts, start_votes, race = _start(shells, seeds)
     race.evaluations += starts.shape[1] // len(shells) * shells.num_voters
     if perf_counter() >= deadline:
         race.unsearched += shells.num_voters
@@ -111,10 +104,10 @@ def search(
     farthest = np.maximum(np.maximum(np.abs(first), np.abs(last)) + 2**levels, np.abs(race.voxels) + 2)
     reach_m = np.linalg.norm(farthest * shells.voxel_m, axis=0)
     certain = bands(shells, 0.0, reach_m, at_least=False)
-    window = (race.voxels[:, :, None] + _WINDOW[:, None, :]).reshape(3, -1)
-    owner = np.repeat(np.arange(len(shells)), _WINDOW.shape[1])
+    window = (race.voxels[:, :, None] + WINDOW[:, None, :]).reshape(3, -1)
+    owner = np.repeat(np.arange(len(shells)), WINDOW.shape[1])
     race.offer(window, count(shells, certain, lifted(shells, window, 0), owner), owner)
-    race.evaluations += _WINDOW.shape[1] * shells.num_voters
+    race.evaluations += WINDOW.shape[1] * shells.num_voters
     budget = race.evaluations + max_evaluations
 
     cells, top = no_cells(shells), int(levels.max())
@@ -145,7 +138,7 @@ def search(
     return _founds(shells, voxels, votes, owner, race, starts, start_votes)
 
 
-def _start(shells: Shells, seeds: FloatArray, rival_share: float) -> tuple[IntArray, IntArray, Race]:
+def _start(shells: Shells, seeds: FloatArray) -> tuple[IntArray, IntArray, Race]:
     """Start voxels (3, J (S + 1)) of J keypoints with their votes, and the best of each."""
     keypoints, first = np.arange(len(shells)), np.array(shells.starts[:-1])
     # A voxel at the first shell has its vote, so that the best known is hardly ever none.
@@ -160,9 +153,8 @@ def _start(shells: Shells, seeds: FloatArray, rival_share: float) -> tuple[IntAr
     starts = starts.reshape(-1, 3).T
     votes = exact_count(shells, starts, np.repeat(keypoints, num_starts))
     best = votes.reshape(-1, num_starts).argmax(axis=1) + num_starts * keypoints
-    required = np.array([rival_votes(int(each), rival_share) for each in votes[best]])
     zeros = np.zeros((2, len(shells)), np.int64)
-    return starts, votes, Race(starts[:, best], votes[best], rival_share, required, zeros[0], zeros[1])
+    return starts, votes, Race(starts[:, best], votes[best], zeros[0], zeros[1])
 
 
 def _affordable(shells: Shells, race: Race, cells: Cells, budget: IntArray, children: int) -> Cells:
@@ -283,19 +275,15 @@ def _founds(
             own_voxels = np.concatenate((own_voxels, starts[:, seeds], best), axis=1)
             best_votes = exact_count(shells, best, np.array([j]))
             own_votes = np.concatenate((own_votes, start_votes[seeds], best_votes))
-        own_voxels, own_votes = _sorted_rivals(own_voxels, own_votes, race.rival_share)
-        founds.append(
-            Found(own_voxels.T + shells.origin[:, j], own_votes, int(race.evaluations[j]), int(race.unsearched[j]))
-        )
+        most = int(own_votes.max(initial=0))
+        best = _sorted_rows(own_voxels[:, own_votes == max(most, 1)])
+        founds.append(Found(best + shells.origin[:, j], most, int(race.evaluations[j]), int(race.unsearched[j])))
     return founds
 
 
-def _sorted_rivals(voxels: IntArray, votes: IntArray, rival_share: float) -> tuple[IntArray, IntArray]:
-    """The distinct voxels (3, M) with a rival's votes (M,), most votes first, then C order."""
-    rivals = votes >= rival_votes(int(votes.max(initial=0)), rival_share)
-    voxels, votes = voxels[:, rivals], votes[rivals]
-    order = np.lexsort((*voxels[::-1], -votes))
-    voxels, votes = voxels[:, order], votes[order]
-    fresh = np.ones(len(votes), np.bool_)
+def _sorted_rows(voxels: IntArray) -> IntArray:
+    """The distinct ones (T, 3) of voxels (3, M), in C order."""
+    voxels = voxels[:, np.lexsort(voxels[::-1])]
+    fresh = np.ones(voxels.shape[1], np.bool_)
     fresh[1:] = (voxels[:, 1:] != voxels[:, :-1]).any(axis=0)
-    return voxels[:, fresh], votes[fresh]
+    return voxels[:, fresh].T

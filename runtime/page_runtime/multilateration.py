@@ -179,7 +179,7 @@ def settle_positions(
         # The scale moves little and its sort costs as much as the rest of an iteration.
         system = radial_system(current, anchors, radii_m, scales_m if round_ % 2 else None, gate_m, floor_m)
         scales_m = system.scales
-        current = current - damped_step(system.hessian, system.gradient, limit=0.25)
+        current = current - damped_step(system.hessian, system.gradient, limit=gate_m / 3)
     return current + anchors.origin
 
 

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime import multilateration
-from page_runtime.branch_and_bound import Found, rival_votes, search
-from page_runtime.multilateration import UNUSABLE_RADIUS_M, FloatArray
-from page_runtime.vote_peaks import MAX_PEAKS, Peak, peaks_of
-from page_runtime.vote_shells import ONE_SIDED, TWO_SIDED, VoteRule, shells_from
+from page_runtime.branch_and_bound import Found, search
+from page_runtime.multilateration import UNUSABLE_RADIUS_M, Anchors, FloatArray
+from page_runtime.rival_modes import candidate_places, rival_voxels
+from page_runtime.vote_peaks import MAX_PEAKS, Modes, Peak, peaks_of
+from page_runtime.vote_shells import ONE_SIDED, TWO_SIDED, Shells, VoteRule, shells_from
 
 __all__ = ["MAX_PEAKS", "MAX_RANGE_M", "ONE_SIDED", "TWO_SIDED", "KeypointVotes", "Peak", "VoteRule"]
 __all__ += ["score_keypoints", "score_parts"]
@@ -39,10 +40,10 @@ class KeypointVotes:
     """What the votes of a part say of one keypoint.
 
     peaks: at most MAX_PEAKS modes with >= rival_share of the maximum, best first, more than 2 eta apart; the first
-    holds the first of the tied voxels. Empty if and only if `reason` says why. ties_camera: (T, 3) m, every voxel with
-    max_votes. evaluations: distance tests made. gap: no voxel has more than max_votes + gap votes; 0 certifies that
-    maximum, ties and first peak equal the dense accumulator's. rivals_complete: nor was any voxel with a rival's votes
-    left out.
+    holds the first of the tied voxels, the others are ties and what `rival_modes` finds. Empty if and only if `reason`
+    says why. ties_camera: (T, 3) m, every voxel with max_votes. evaluations: distance tests made for the maximum. gap:
+    no voxel has more than max_votes + gap votes; 0 certifies that maximum, ties and first peak equal the dense
+    accumulator's.
     """
 
     peaks: tuple[Peak, ...]
@@ -50,7 +51,6 @@ class KeypointVotes:
     ties_camera: FloatArray
     evaluations: int
     gap: int
-    rivals_complete: bool
     reason: str = ""
 
     @property
@@ -67,6 +67,20 @@ class _Ballot:
     radii_m: FloatArray
     reasons: list[str]
     num_points: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Thinned:
+    """P parts with fewer points: anchors, `stacked`; radii_m (P, n, m) m, UNUSABLE_RADIUS_M where one does not vote or
+    the part has fewer keypoints or points; counts, the keypoints of each part."""
+
+    anchors: Anchors
+    radii_m: FloatArray
+    counts: list[int]
+
+    def of_keypoints(self, rows: FloatArray) -> FloatArray:
+        """(J, ...): what belongs to the J keypoints there are, of (P, n, ...)."""
+        return np.concatenate([own[:count] for own, count in zip(rows, self.counts, strict=True)])
 
 
 def score_keypoints(
@@ -122,42 +136,39 @@ def score_parts(
     ballots = [_ballot(*_checked(points_camera, radii_m)) for points_camera, radii_m in parts]
     voting = [ballot for ballot in ballots if len(ballot.radii_m)]
     founds: list[Found] = []
-    modes: list[tuple[Peak, ...]] = []
+    peaks: list[tuple[Peak, ...]] = []
     if voting:
         limit = math.inf if max_seconds is None else began + max_seconds
-        seeds = _seeds(voting, voxel_m, rule)
+        thinned = _thinned(voting, voxel_m, rule)
+        seeds = _seeds(thinned, voxel_m)
         shells = shells_from([(ballot.points, ballot.radii_m) for ballot in voting], voxel_m, rule)
         after = _AFTER_SEEDS * (perf_counter() - began)
-        founds = search(shells, seeds, rival_share, max_evaluations, limit - after)
-        for ballot in voting:
-            own = founds[len(modes) : len(modes) + len(ballot.radii_m)]
-            refine = perf_counter() < limit - 0.5 * after
-            modes += peaks_of(own, ballot.points, ballot.radii_m, ballot.num_points, voxel_m, refine=refine)
-    remaining = zip(founds, modes, strict=True)
+        founds = search(shells, thinned.of_keypoints(seeds), max_evaluations, limit - after)
+        modes = [Modes(found.voxels, np.full(len(found.voxels), found.votes)) for found in founds]
+        if perf_counter() < limit - 0.75 * after:
+            modes = _with_rivals(shells, founds, modes, thinned, seeds, rival_share)
+        given = [(ballot.points, ballot.radii_m, ballot.num_points) for ballot in voting]
+        peaks = peaks_of(modes, given, voxel_m, refine=perf_counter() < limit - 0.5 * after)
+    remaining = zip(founds, peaks, strict=True)
     return tuple(
-        tuple(
-            _undetermined_votes(reason) if reason else _votes(*next(remaining), voxel_m, rival_share)
-            for reason in ballot.reasons
-        )
+        tuple(_undetermined_votes(reason) if reason else _votes(*next(remaining), voxel_m) for reason in ballot.reasons)
         for ballot in ballots
     )
 
 
 def _undetermined_votes(reason: str) -> KeypointVotes:
-    return KeypointVotes((), 0, np.empty((0, 3)), 0, 0, True, reason)
+    return KeypointVotes((), 0, np.empty((0, 3)), 0, 0, reason)
 
 
-def _votes(found: Found, peaks: tuple[Peak, ...], voxel_m: float, rival_share: float) -> KeypointVotes:
-    best = int(found.votes.max(initial=0))
+def _votes(found: Found, peaks: tuple[Peak, ...], voxel_m: float) -> KeypointVotes:
     unsearched = found.unsearched_bound
     reason = "" if peaks else "no voxel has a vote" if not unsearched else "no voxel with a vote was found in time"
     return KeypointVotes(
         peaks=peaks,
-        max_votes=best,
-        ties_camera=np.multiply(found.voxels[found.votes == best], voxel_m, dtype=np.float64),
+        max_votes=found.votes,
+        ties_camera=np.multiply(found.voxels, voxel_m, dtype=np.float64),
         evaluations=found.evaluations,
-        gap=max(0, unsearched + 1 - best) if peaks else unsearched,
-        rivals_complete=unsearched < rival_votes(best, rival_share),
+        gap=max(0, unsearched + 1 - found.votes) if peaks else unsearched,
         reason=reason,
     )
 
@@ -211,20 +222,47 @@ def _undetermined(points: FloatArray, usable: NDArray[np.bool_]) -> str:
     return ""
 
 
-def _seeds(ballots: Sequence[_Ballot], voxel_m: float, rule: VoteRule) -> FloatArray:
-    """(J, 3, 3) m: for every keypoint the refined hypotheses of multilateration. They only bound the search."""
+def _thinned(ballots: Sequence[_Ballot], voxel_m: float, rule: VoteRule) -> _Thinned:
     chosen = [multilateration.thinned(len(ballot.points), _SEED_POINTS) for ballot in ballots]
     pairs = list(zip(ballots, chosen, strict=True))
     anchors = multilateration.stacked([multilateration.anchors_from(ballot.points[rows]) for ballot, rows in pairs])
     radii_m = _filled([ballot.radii_m[:, rows] for ballot, rows in pairs])
     # Shells of a one-sided rule have their middle before the radius.
     radii_m[radii_m < UNUSABLE_RADIUS_M] += 0.5 * sum(rule.bounds_m(voxel_m))
-    starts = multilateration.linear_hypotheses(anchors, np.maximum(radii_m, 0.0))
+    return _Thinned(anchors, np.maximum(radii_m, 0.0), [len(ballot.radii_m) for ballot in ballots])
+
+
+def _seeds(thinned: _Thinned, voxel_m: float) -> FloatArray:
+    """(P, n, 3, 3) m: for every keypoint the refined hypotheses of multilateration. They only bound the search."""
+    starts = multilateration.linear_hypotheses(thinned.anchors, thinned.radii_m)
     schedule_m = [max(math.sqrt(3.0) * voxel_m, 0.3 * 0.5**k) for k in range(6)]
     refined = multilateration.refine_positions(
-        starts.reshape(len(ballots), -1, 3), anchors, np.repeat(radii_m, 3, axis=1), schedule_m
-    ).reshape(starts.shape)
-    return np.concatenate([rows[: len(ballot.radii_m)] for ballot, rows in zip(ballots, refined, strict=True)])
+        starts.reshape(len(starts), -1, 3), thinned.anchors, np.repeat(thinned.radii_m, 3, axis=1), schedule_m
+    )
+    return refined.reshape(starts.shape)
+
+
+def _with_rivals(
+    shells: Shells,
+    founds: Sequence[Found],
+    modes: Sequence[Modes],
+    thinned: _Thinned,
+    seeds: FloatArray,
+    rival_share: float,
+) -> list[Modes]:
+    """The modes (J,) that hold the maxima alone, with their rivals behind them."""
+    best = iter([found.voxels[0] if len(found.voxels) else np.zeros(3) for found in founds])
+    places = np.zeros((*thinned.radii_m.shape[:2], 3))
+    for part, count in enumerate(thinned.counts):
+        for row in range(count):
+            places[part, row] = next(best) * shells.voxel_m
+    eta_m = math.sqrt(3.0) * shells.voxel_m
+    candidates = candidate_places(places, seeds, thinned.anchors, thinned.radii_m, eta_m)
+    rivals = rival_voxels(shells, founds, thinned.of_keypoints(candidates), rival_share)
+    return [
+        Modes(np.concatenate((mode.voxels, voxels)), np.concatenate((mode.votes, votes)))
+        for mode, (voxels, votes) in zip(modes, rivals, strict=True)
+    ]
 
 
 def _filled(radii_m: Sequence[FloatArray]) -> FloatArray:
