@@ -41,6 +41,15 @@ def main(arguments: list[str] | None = None) -> int:
     verify.add_argument("--against", type=Path, required=True, metavar="CHECKPOINT")
     verify.add_argument("--data", type=Path, required=True, metavar="RECORDING")
     verify.set_defaults(run_command=_verify)
+    scorer = commands.add_parser(
+        "scorer", help="network and scorer as one graph, for accelerators; compared with the numpy scorer"
+    )
+    scorer.add_argument("bundle", type=Path)
+    scorer.add_argument("-o", "--output", type=Path, required=True, help="the .onnx file to write")
+    scorer.add_argument("--measure-on", type=Path, required=True, metavar="RECORDING")
+    scorer.add_argument("--beam", type=int, help="cells kept on each level (default: 384)")
+    scorer.add_argument("--threads", type=int, default=2)
+    scorer.set_defaults(run_command=_scorer)
     calibrate = commands.add_parser("calibrate", help="fit the bundle's confidence on validation recordings")
     calibrate.add_argument("bundle", type=Path)
     calibrate.add_argument(
@@ -129,6 +138,29 @@ def _verify(options: argparse.Namespace) -> int:
 
     _, _, network = _trained(options.against)
     return _report(compare_on(Network(options.bundle), network, options.data))
+
+
+def _scorer(options: argparse.Namespace) -> int:
+    import onnx
+
+    from page_export.scorer_cost import measure_scorer
+    from page_export.scorer_graph import BEAM, with_scorer
+    from page_runtime.network import Network
+
+    bundle = Network(options.bundle, threads=options.threads)
+    model = with_scorer(onnx.load(options.bundle), bundle.metadata, options.beam or BEAM)
+    graph = model.SerializeToString()
+    cost = measure_scorer(bundle, graph, options.measure_on, threads=options.threads)
+    print(f"{cost.keypoints} keypoints of {cost.regions} regions, {options.threads} threads of the CPU")
+    print(f"within a voxel of the numpy scorer's  {cost.within_voxel:.3f}, fewest of its votes {cost.least_share:.3f}")
+    print(f"network, then numpy scorer            {cost.network_ms:.1f} + {cost.numpy_scoring_ms:.1f} ms")
+    print(f"one graph                             {cost.graph_ms:.1f} ms")
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    partial = options.output.with_suffix(".partial")
+    partial.write_bytes(graph)
+    partial.rename(options.output)
+    print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
+    return 0
 
 
 def _calibrate(options: argparse.Namespace) -> int:

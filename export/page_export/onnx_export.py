@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,13 +69,20 @@ def example_inputs() -> tuple[Tensor, ...]:
 
 def graph_of(network: PageNetwork) -> onnx.ModelProto:
     """The network as a checked ONNX model of standard operators, without metadata."""
+    return exported(RuntimeSignature(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES)
+
+
+def exported(
+    module: nn.Module, examples: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
+) -> onnx.ModelProto:
+    """A module as a checked ONNX model of standard operators; ValueError where others would be needed."""
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with torch.no_grad():
         program = torch.onnx.export(
-            RuntimeSignature(folded(network)).eval(),
-            example_inputs(),
-            input_names=list(INPUT_NAMES),
-            output_names=list(OUTPUT_NAMES),
+            module,
+            examples,
+            input_names=list(inputs),
+            output_names=list(outputs),
             opset_version=OPSET,
             dynamo=True,
             verbose=False,

@@ -66,10 +66,9 @@ def pose_from_output(
     """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
     watch = watch or Stopwatch()
     points = sample.points_camera[: sample.num_distinct]
-    labels = output.part_logits[: sample.num_distinct].argmax(axis=1)
     category = metadata.category
-    members = [np.flatnonzero(labels == index) for index in range(len(category.parts))]
-    votes = _votes(members, points, output, metadata)
+    members = members_of(output, sample.num_distinct)
+    votes = votes_of(members, points, output, metadata)
     watch.stage("scoring")
     found = tuple(
         _register(part, index, points, members[index], votes.get(index), output, watch)
@@ -115,7 +114,13 @@ class _Found:
     num_points: int
 
 
-def _votes(
+def members_of(output: NetworkOutput, num_distinct: int) -> list[NDArray[np.intp]]:
+    """For each part the indices of its points among the first `num_distinct`."""
+    labels = output.part_logits[:num_distinct].argmax(axis=1)
+    return [np.flatnonzero(labels == index) for index in range(output.part_logits.shape[1] - 1)]
+
+
+def votes_of(
     members: Sequence[NDArray[np.intp]],
     points_camera: NDArray[np.float32],
     output: NetworkOutput,
