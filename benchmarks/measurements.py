@@ -22,7 +22,7 @@ from tests.synthetic_parts import SyntheticPart
 
 from page_runtime.estimator import MAX_VOTERS
 from page_runtime.geometry import rotation_angle, transform_from
-from page_runtime.registration import Ambiguous, Registration, register_part
+from page_runtime.registration import Ambiguous, Observed, Registration, register_part, register_parts
 from page_runtime.scoring import ONE_SIDED, TWO_SIDED, KeypointVotes, VoteRule, score_keypoints, score_parts
 from page_runtime.similarity import umeyama
 
@@ -103,14 +103,26 @@ def register(
     kappa_scale: float = 1.0,
 ) -> Registration | Ambiguous | str:
     """Pose by `page_runtime`, on the radii of the first `keypoints`; without `box`, one that holds every point."""
-    return register_part(
+    return register_part(observed(part, votes, keypoints, box, side_logits, kappa_scale))
+
+
+def observed(
+    part: SyntheticPart,
+    votes: tuple[KeypointVotes, ...],
+    keypoints: int | None = None,
+    box: bool = True,
+    side_logits: FloatArray | None = None,
+    kappa_scale: float = 1.0,
+) -> Observed:
+    """What `register` gives the registration."""
+    return Observed(
         part.points_camera,
         part.radii_m[:, :keypoints],
         kappa_scale * part.keypoints_unit[:keypoints],
         votes,
-        extents_unit=part.extents_unit if box else np.full(3, 100.0),
-        scale_range_m=SCALE_RANGE_M,
-        side_logits=side_logits,
+        part.extents_unit if box else np.full(3, 100.0),
+        SCALE_RANGE_M,
+        side_logits,
     )
 
 
@@ -233,7 +245,7 @@ def measure_frames(distance: str, voxel_m: float, num_parts: int, *, frames: int
         capped = best_of(1, lambda scored=scored: scored(voters=MAX_VOTERS))[1] if capping else wall
         _, single, _ = best_of(1, lambda parts=parts: [score(part, voxel_m) for part in parts])
         _, registration, _ = best_of(
-            repeats, lambda parts=parts, votes=votes: [register(p, v) for p, v in zip(parts, votes, strict=True)]
+            repeats, lambda parts=parts, votes=votes: register_parts(list(map(observed, parts, votes)))
         )
         scoring_ms.append(wall)
         scoring_cpu_ms.append(cpu)

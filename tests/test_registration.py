@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from page_runtime.geometry import rotation_angle
-from page_runtime.registration import Ambiguous, Registration, register_part
+from page_runtime.registration import Ambiguous, Observed, Registration, register_part, register_parts
 from page_runtime.scoring import KeypointVotes, score_keypoints
 from page_runtime.similarity import skew, so3_exp, umeyama
 from synthetic_parts import (
@@ -26,14 +26,19 @@ def scored(part: SyntheticPart, num_voted: int = 3) -> tuple[KeypointVotes, ...]
 
 
 def registered(part: SyntheticPart, votes: tuple[KeypointVotes, ...] | None = None, **options):
-    return register_part(
-        part.points_camera,
-        part.radii_m,
-        part.keypoints_unit,
-        scored(part) if votes is None else votes,
-        extents_unit=part.extents_unit,
-        **{"scale_range_m": SCALES_M, **options},
-    )
+    return register_part(observed(part, votes, **options))
+
+
+def observed(part: SyntheticPart, votes: tuple[KeypointVotes, ...] | None = None, **options) -> Observed:
+    arguments = {
+        "points_camera": part.points_camera,
+        "radii_m": part.radii_m,
+        "keypoints_unit": part.keypoints_unit,
+        "votes": scored(part) if votes is None else votes,
+        "extents_unit": part.extents_unit,
+        "scale_range_m": SCALES_M,
+    }
+    return Observed(**(arguments | options))
 
 
 def pose_of(result: Registration | Ambiguous | str) -> Registration:
@@ -256,6 +261,26 @@ def test_a_scale_outside_the_range_has_a_reason() -> None:
     assert "scale" in reason
 
 
+def test_parts_registered_together_get_the_poses_they_get_alone() -> None:
+    parts = [box_part(1, sigma_m=0.004, outliers=0.1), lid(2, sigma_m=0.004), box_part(3, sigma_m=0.008)]
+    parts.append(symmetric_lid(4, sigma_m=0.003, outliers=0.1))
+    given = [observed(part) for part in parts[:3]]
+    given.append(replace(given[0], radii_m=np.full_like(parts[0].radii_m, np.nan)))
+    given.append(replace(given[1], points_camera=parts[1].points_camera[:30], radii_m=parts[1].radii_m[:30]))
+    for together, one in zip(register_parts(given), given, strict=True):
+        alone = register_part(one)
+        assert type(together) is type(alone)
+        if isinstance(together, Registration) and isinstance(alone, Registration):
+            np.testing.assert_allclose(together.T_camera_part, alone.T_camera_part, atol=1e-9)
+            assert together.scale_m == pytest.approx(alone.scale_m, abs=1e-9)
+            assert together.runner_up_ratio == pytest.approx(alone.runner_up_ratio, abs=1e-9)
+        else:
+            assert together == alone
+    assert register_parts([]) == []
+    with pytest.raises(ValueError, match="as many keypoints of each"):
+        register_parts([given[0], observed(parts[3])])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -269,18 +294,8 @@ def test_a_scale_outside_the_range_has_a_reason() -> None:
     ],
 )
 def test_wrong_shapes_are_named(changes: dict, message: str) -> None:
-    part = box_part(0)
-    arguments = {
-        "points_camera": part.points_camera,
-        "radii_m": part.radii_m,
-        "keypoints_unit": part.keypoints_unit,
-        "votes": scored(part),
-        "extents_unit": part.extents_unit,
-        "scale_range_m": SCALES_M,
-        **changes,
-    }
     with pytest.raises(ValueError, match=message):
-        register_part(**arguments)
+        registered(box_part(0), **changes)
 
 
 def test_umeyama_recovers_similarities_of_three_or_more_points() -> None:

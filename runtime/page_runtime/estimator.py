@@ -20,7 +20,7 @@ from page_runtime.icp import refine_to_template
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
-from page_runtime.registration import Ambiguous, Registration, register_part
+from page_runtime.registration import Ambiguous, Observed, Registration, register_parts
 from page_runtime.sampling import Region, RegionSample, sample_region
 from page_runtime.scoring import KeypointVotes, score_parts
 from page_runtime.template import Template
@@ -70,10 +70,18 @@ def pose_from_output(
     members = members_of(output, sample.num_distinct)
     votes = votes_of(members, points, output, metadata)
     watch.stage("scoring")
-    found = tuple(
-        _register(part, index, points, members[index], votes.get(index), output, watch)
+    observed = [
+        _observed(part, index, points, members[index], votes.get(index), output)
         for index, part in enumerate(category.parts)
-    )
+    ]
+    registered = iter(register_parts([one for one in observed if isinstance(one, Observed)]))
+    registrations = [one if isinstance(one, str) else next(registered) for one in observed]
+    watch.stage("registration")
+    found = [
+        _found(part, one, registration)
+        for part, one, registration in zip(category.parts, observed, registrations, strict=True)
+    ]
+    watch.stage("icp")
     settled = settle(category, [() if isinstance(one, str) else one.evidence for one in found])
     taken = [one.evidence if one is not None and one.decided else None for one in settled]
     articulation = articulate(category, taken)
@@ -139,48 +147,51 @@ def votes_of(
     return dict(zip(seen, votes, strict=True))
 
 
-def _register(
+def _observed(
     part: Part,
     index: int,
     points_camera: NDArray[np.float32],
     members: NDArray[np.intp],
     votes: tuple[KeypointVotes, ...] | None,
     output: NetworkOutput,
-    watch: Stopwatch,
-) -> _Found | str:
-    """Pose of one part from its points (`members` indexes points and outputs alike) and votes, or why not."""
+) -> Observed | str:
+    """What the pose of a part is found from (`members` indexes points and outputs alike), or why there is none."""
     if votes is None:
         return f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed"
     extents_m = output.extents_m[index].astype(np.float64)
     if not (np.isfinite(extents_m).all() and (extents_m > 0.0).all()):
         return f"the network gives it no size: {extents_m.tolist()} m"
-    extents_unit = extents_m / np.linalg.norm(extents_m)
-    registration = register_part(
+    return Observed(
         points_camera[members],
         output.radii_m[members],
         part.keypoints_unit,
         votes,
-        extents_unit=extents_unit,
-        scale_range_m=part.diagonal_range_m,
-        side_logits=output.side_logits[members],
+        extents_m / np.linalg.norm(extents_m),
+        part.diagonal_range_m,
+        output.side_logits[members],
     )
-    watch.stage("registration")
+
+
+def _found(part: Part, observed: Observed | str, registration: Registration | Ambiguous | str) -> _Found | str:
+    """One part with its poses fitted to the category's template, or why it has none."""
+    if isinstance(observed, str):
+        return observed
     if isinstance(registration, str):
         return registration
     poses, ambiguity = (
         (registration.poses, registration.reason) if isinstance(registration, Ambiguous) else ((registration,), "")
     )
+    extents_unit = np.asarray(observed.extents_unit, np.float64)
     evidence = tuple(
         PartEvidence(pose.T_camera_part, pose.scale_m, with_common_error(pose.covariance, pose.scale_m), extents_unit)
         for pose in poses
     )
     if part.template is not None:
-        evidence = tuple(_fitted(one, points_camera[members], part.template) for one in evidence)
-        watch.stage("icp")
-    return _Found(votes, poses, evidence, ambiguity, len(members))
+        evidence = tuple(_fitted(one, observed.points_camera, part.template) for one in evidence)
+    return _Found(observed.votes, poses, evidence, ambiguity, len(observed.points_camera))
 
 
-def _fitted(evidence: PartEvidence, points_camera: NDArray[np.float32], template: Template) -> PartEvidence:
+def _fitted(evidence: PartEvidence, points_camera: NDArray[np.floating], template: Template) -> PartEvidence:
     """By the part's points and the category's template, where that is for the better."""
     fit = refine_to_template(
         points_camera,

@@ -1,12 +1,15 @@
 """Candidate poses of a part: combinations of its keypoints' modes, three at a time."""
 
 import itertools
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from page_runtime import multilateration
-from page_runtime.multilateration import Anchors, FloatArray
+from page_runtime.multilateration import FloatArray
+from page_runtime.pose_refinement import Evidence, stacked_radii
 from page_runtime.scoring import KeypointVotes
 from page_runtime.similarity import Similarities, umeyama
 
@@ -19,35 +22,20 @@ _MAX_MODES = 3
 _MAX_TRIPLES = 5
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Evidence:
-    """Everything a pose is judged by. anchors: m points; radii_m (n, m); keypoints_unit (n, 3);
-    extents_unit (3,); sides (m, v), tanh(logit / 2), or None where they do not apply; normal (3,) of a
-    planar part, to the camera."""
-
-    anchors: Anchors
-    radii_m: FloatArray
-    keypoints_unit: FloatArray
-    extents_unit: FloatArray
-    sides: FloatArray | None
-    normal: FloatArray
-
-    def thinned(self, count: int) -> "Evidence":
-        """The same with at most `count` of the points."""
-        chosen = multilateration.thinned(len(self.anchors.norm2), count)
-        anchors = multilateration.anchors_from(self.anchors.relative[chosen] + self.anchors.origin)
-        sides = None if self.sides is None else self.sides[chosen]
-        return Evidence(anchors, self.radii_m[:, chosen], self.keypoints_unit, self.extents_unit, sides, self.normal)
-
-
 def candidates(
-    evidence: Evidence, votes: tuple[KeypointVotes, ...], scale_range_m: tuple[float, float]
+    keypoints_unit: FloatArray,
+    modes: Sequence[Sequence[FloatArray]],
+    num_voted: int,
+    scale_range_m: tuple[float, float],
 ) -> Similarities:
-    """Poses of all combinations of modes of the triples whose scale and triangle are possible."""
-    kappa, (low, high) = evidence.keypoints_unit, scale_range_m
-    modes = _modes(evidence, votes, apart_m=_APART * low)
+    """Poses of all combinations of modes of the triples whose scale and triangle are possible.
+
+    keypoints_unit: (n, 3); modes: for each of them positions (3,) m; num_voted: the first ones, of which there are
+    votes.
+    """
+    kappa, (low, high) = keypoints_unit, scale_range_m
     triples, places = [], []
-    for triple in _triples(kappa, len(votes)):
+    for triple in _triples(kappa.tobytes(), num_voted):
         for combination in itertools.product(*(modes[j] for j in triple)):
             triples.append(triple)
             places.append(combination)
@@ -60,29 +48,53 @@ def candidates(
     return poses.take(possible)
 
 
-def _modes(evidence: Evidence, votes: tuple[KeypointVotes, ...], apart_m: float) -> list[list[FloatArray]]:
-    """For each keypoint one to _MAX_MODES positions (3,) m: peaks first, then what multilateration adds."""
-    anchors, radii_m = evidence.anchors, evidence.radii_m
-    starts = multilateration.linear_hypotheses(anchors, radii_m).reshape(-1, 3)
-    repeated = np.repeat(radii_m, 3, axis=0)
+def modes_of(
+    parts: Sequence[Evidence], votes: Sequence[tuple[KeypointVotes, ...]], smallest_m: Sequence[float]
+) -> list[list[list[FloatArray]]]:
+    """For each keypoint of each part one to _MAX_MODES positions (3,) m: peaks first, then what multilateration adds.
+
+    smallest_m: the least diagonal each part may have.
+    """
+    if not parts:
+        return []
+    stack = stacked_radii(parts)
+    anchors, num_parts = stack.anchors, len(parts)
+    starts = multilateration.linear_hypotheses(anchors, stack.radii_m).reshape(num_parts, -1, 3)
+    repeated = np.repeat(stack.radii_m, 3, axis=1)
     schedule_m = [max(0.02, 0.2 * 0.5**k) for k in range(6)]
-    refined = multilateration.refine_positions(starts, anchors, repeated, schedule_m)
-    residuals = multilateration.distances(refined - anchors.origin, anchors) - repeated
-    scales = multilateration.gated_scales(residuals, 0.1, 0.002).reshape(-1, 3).min(axis=1)
-    mass = np.mean(1.0 / (1.0 + (residuals / np.repeat(scales, 3)[:, None]) ** 2), axis=1).reshape(-1, 3)
-    refined = refined.reshape(-1, 3, 3)
-    modes = []
-    for j, order in enumerate(np.argsort(-mass, axis=1, kind="stable")):
-        found = [peak.position_camera for peak in votes[j].peaks[:_MAX_MODES]] if j < len(votes) else []
-        for k in order[mass[j, order] >= 0.7 * mass[j].max()]:
-            if len(found) < _MAX_MODES and all(np.linalg.norm(refined[j, k] - other) > apart_m for other in found):
-                found.append(refined[j, k])
-        modes.append(found)
-    return modes
+    places = multilateration.refine_positions(starts, anchors, repeated, schedule_m)
+    residuals = multilateration.distances(places - anchors.origin, anchors) - repeated
+    scales = multilateration.gated_scales(residuals, 0.1, 0.002).reshape(num_parts, -1, 3).min(axis=2)
+    # Radii that a part does not have are far from any, and have no mass.
+    mass = np.sum(1.0 / (1.0 + (residuals / np.repeat(scales, 3, axis=1)[..., None]) ** 2), axis=2)
+    places, mass = places.reshape(num_parts, -1, 3, 3), mass.reshape(num_parts, -1, 3)
+    return [
+        [
+            _modes([peak.position_camera for peak in one.peaks] if one else [], at, mass_at, _APART * low_m)
+            for one, at, mass_at in itertools.zip_longest(own_votes, own_places, own_mass)
+        ]
+        for own_votes, own_places, own_mass, low_m in zip(votes, places, mass, smallest_m, strict=True)
+    ]
 
 
-def _triples(kappa: FloatArray, num_voted: int) -> list[tuple[int, int, int]]:
-    """The voted keypoints, then the largest triangles that share no side with a triangle before them."""
+def _modes(peaks: list[FloatArray], places: FloatArray, mass: FloatArray, apart_m: float) -> list[FloatArray]:
+    """The peaks and those of the places (3, 3) m with enough mass (3,) that are apart from the others."""
+    found = peaks[:_MAX_MODES]
+    for k in np.argsort(-mass, kind="stable"):
+        if mass[k] < 0.7 * mass.max() or len(found) == _MAX_MODES:
+            break
+        if all(math.dist(places[k], other) > apart_m for other in found):
+            found.append(places[k])
+    return found
+
+
+@lru_cache(maxsize=64)
+def _triples(keypoints_unit: bytes, num_voted: int) -> tuple[tuple[int, int, int], ...]:
+    """The voted keypoints, then the largest triangles that share no side with a triangle before them.
+
+    keypoints_unit: the bytes of (n, 3) float64, which a category's parts have in every frame.
+    """
+    kappa = np.frombuffer(keypoints_unit).reshape(-1, 3)
     triples = np.array(list(itertools.combinations(range(len(kappa)), 3)))
     first, second = kappa[triples[:, 1]] - kappa[triples[:, 0]], kappa[triples[:, 2]] - kappa[triples[:, 0]]
     # Lagrange's identity: the squared area of the parallelogram.
@@ -97,4 +109,4 @@ def _triples(kappa: FloatArray, num_voted: int) -> list[tuple[int, int, int]]:
             chosen.append(triple)
             if len(chosen) == _MAX_TRIPLES:
                 break
-    return chosen
+    return tuple(chosen)

@@ -107,8 +107,9 @@ def distances(positions: FloatArray, anchors: Anchors) -> FloatArray:
     return np.sqrt(squared, out=squared)
 
 
-def gated_scales(residuals: FloatArray, gate_m: float, floor_m: float) -> FloatArray:
-    """(H, 1) m, the Geman-McClure scale: 3.5 sigma by the median of |e| among the residuals within the gate.
+def gated_scales(residuals: FloatArray, gate_m: float | FloatArray, floor_m: float | FloatArray) -> FloatArray:
+    """(H, 1) m, the Geman-McClure scale: 3.5 sigma by the median of |e| among the residuals within the gate, of all
+    or (H, 1).
 
     The gate keeps the median honest above 50 % outliers, where that of all residuals is an outlier itself.
     """
@@ -117,7 +118,7 @@ def gated_scales(residuals: FloatArray, gate_m: float, floor_m: float) -> FloatA
     within = np.count_nonzero(magnitudes <= gate_m, axis=-1)[..., None]
     median = np.take_along_axis(magnitudes, np.maximum(within - 1, 0) // 2, axis=-1).astype(np.float64)
     scales = np.where(within > 0, _SIGMAS * 1.4826 * median, gate_m)
-    return np.minimum(np.maximum(scales, floor_m), max(gate_m, floor_m))
+    return np.minimum(np.maximum(scales, floor_m), np.maximum(gate_m, floor_m))
 
 
 def radial_system(
@@ -125,8 +126,8 @@ def radial_system(
     anchors: Anchors,
     radii_m: FloatArray,
     scales_m: FloatArray | None,
-    gate_m: float,
-    floor_m: float,
+    gate_m: float | FloatArray,
+    floor_m: float | FloatArray,
 ) -> RadialSystem:
     """Normal equations of sum_i rho(|x - p_i| - r_i), rho Geman-McClure at scales_m (H, 1), or at the gated
     scales.

@@ -8,6 +8,7 @@ keypoints; the few best are refined on all radii at once, which uses every vote 
 covariance.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from page_runtime import multilateration
 from page_runtime.geometry import transform_from
-from page_runtime.hypotheses import Evidence, candidates
+from page_runtime.hypotheses import candidates, modes_of
 from page_runtime.multilateration import UNUSABLE_RADIUS_M, FloatArray
+from page_runtime.pose_refinement import Evidence, pose_system, refined, stacked_radii
 from page_runtime.scoring import MAX_RANGE_M, KeypointVotes
-from page_runtime.similarity import Similarities, skew
+from page_runtime.similarity import Similarities
 
 # A runner-up with this share of the best pose's support is not told apart from it: the share at which scoring
 # still calls a mode a rival.
@@ -67,24 +69,34 @@ class Ambiguous:
     reason: str
 
 
-def register_part(
-    points_camera: NDArray[np.floating],
-    radii_m: NDArray[np.floating],
-    keypoints_unit: NDArray[np.floating],
-    votes: tuple[KeypointVotes, ...],
-    *,
-    extents_unit: NDArray[np.floating],
-    scale_range_m: tuple[float, float],
-    side_logits: NDArray[np.floating] | None = None,
-) -> Registration | Ambiguous | str:
-    """Pose and scale of one part, two that are as good as each other, or the reason why there is none.
+@dataclass(frozen=True, eq=False, slots=True)
+class Observed:
+    """What is known of one part before its pose.
 
     points_camera: (N, 3) m; radii_m: (N, n) m, to all n keypoints, n >= 3; keypoints_unit: (n, 3), in the
     part's canonical frame in units of its diagonal; votes: of the first len(votes) keypoints, from
-    `score_keypoints`; extents_unit: (3,), the part's box about the canonical origin, in diagonals;
+    `score_parts`; extents_unit: (3,), the part's box about the canonical origin, in diagonals;
     scale_range_m: diagonals that the category's parts can have, with what margin is wanted; side_logits:
     (N, len(votes)), > 0 where keypoint j lies on the camera's side of the surface at point i, used where
     the points are nearly planar.
+    """
+
+    points_camera: NDArray[np.floating]
+    radii_m: NDArray[np.floating]
+    keypoints_unit: NDArray[np.floating]
+    votes: tuple[KeypointVotes, ...]
+    extents_unit: NDArray[np.floating]
+    scale_range_m: tuple[float, float]
+    side_logits: NDArray[np.floating] | None = None
+
+
+def register_part(observed: Observed) -> Registration | Ambiguous | str:
+    """`register_parts` of one."""
+    return register_parts([observed])[0]
+
+
+def register_parts(parts: Sequence[Observed]) -> list[Registration | Ambiguous | str]:
+    """Pose and scale of each part, or two that are as good as each other, or the reason why there is none.
 
     1. Modes of each keypoint: the peaks of its votes and the robust multilateration of its radii from both
        mirror starts. A keypoint without votes, or whose votes have no peak, thus has modes as well.
@@ -95,11 +107,58 @@ def register_part(
        rotation, translation and log scale on all radii, and the best supported is returned.
 
     A runner-up with over AMBIGUOUS_RATIO of its support makes the answer ambiguous. Points and radii that are not
-    finite do not count. Raises ValueError for wrong shapes.
+    finite do not count. Raises ValueError for wrong shapes, or parts with different numbers of keypoints.
     """
-    points, radii, kappa = _checked(
-        points_camera, radii_m, keypoints_unit, len(votes), extents_unit, scale_range_m, side_logits
-    )
+    checked = [_evidence(one) for one in parts]
+    if len({len(one.keypoints_unit) for one in parts}) > 1:
+        raise ValueError(
+            f"parts: expected as many keypoints of each, got {[len(one.keypoints_unit) for one in parts]}; "
+            "register parts with other numbers by themselves"
+        )
+    results: list[Registration | Ambiguous | str] = [one if isinstance(one, str) else "" for one in checked]
+    tried = [
+        _Attempt(index, one, one.thinned(_CANDIDATE_POINTS), part.scale_range_m)
+        for index, (one, part) in enumerate(zip(checked, parts, strict=True))
+        if isinstance(one, Evidence)
+    ]
+    votes = [parts[attempt.index].votes for attempt in tried]
+    modes = modes_of([attempt.sketch for attempt in tried], votes, [attempt.scale_range_m[0] for attempt in tried])
+    started: list[_Attempt] = []
+    starts: list[Similarities] = []
+    for attempt, own_modes, own_votes in zip(tried, modes, votes, strict=True):
+        kappa, (low, high) = attempt.evidence.keypoints_unit, attempt.scale_range_m
+        poses = candidates(kappa, own_modes, len(own_votes), attempt.scale_range_m)
+        if len(poses):
+            started.append(attempt)
+            starts.append(poses.take(_distinct_best(poses, _support(poses, attempt.sketch), kappa)))
+        else:
+            results[attempt.index] = (
+                f"no combination of keypoint modes forms the part's triangle at a scale of {low:.3g} to {high:.3g} m"
+            )
+    coarse = refined(starts, [attempt.sketch for attempt in started], _COARSE_GATES)
+    ranked = [_ranked(poses, attempt.evidence) for poses, attempt in zip(coarse, started, strict=True)]
+    # The runner-up is refined only where it is as good.
+    kept = [poses.take(np.arange(1 if ratio <= AMBIGUOUS_RATIO else 2)) for poses, ratio in ranked]
+    evidence = [attempt.evidence for attempt in started]
+    fine = refined(kept, evidence, _FINE_GATES)
+    for attempt, poses, (_, ratio) in zip(started, fine, ranked, strict=True):
+        results[attempt.index] = _result(poses, attempt, ratio)
+    return results
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Attempt:
+    """A part that may have a pose: its place among the parts, all evidence, and less of it for a first look."""
+
+    index: int
+    evidence: Evidence
+    sketch: Evidence
+    scale_range_m: tuple[float, float]
+
+
+def _evidence(part: Observed) -> Evidence | str:
+    """What poses of a part are judged by, or why there can be none."""
+    points, radii, kappa = _checked(part)
     usable_points = np.all(np.abs(points) <= MAX_RANGE_M, axis=1)
     chosen = np.flatnonzero(usable_points)
     chosen = chosen[multilateration.thinned(len(chosen), _POSE_POINTS)]
@@ -113,42 +172,38 @@ def register_part(
         return "the points lie on one line, about which the part can turn"
     normal = axes[:, 2] * (1.0 if axes[:, 2] @ anchors.origin < 0.0 else -1.0)
     sides = None
-    if side_logits is not None and len(votes) and spread[2] <= _PLANAR * spread[1]:
-        sides = np.tanh(0.5 * np.nan_to_num(np.asarray(side_logits, np.float64)[chosen], posinf=40.0, neginf=-40.0))
-    evidence = Evidence(anchors, counted, kappa, np.asarray(extents_unit, np.float64), sides, normal)
-    sketch = evidence.thinned(_CANDIDATE_POINTS)
-    poses = candidates(sketch, votes, scale_range_m)
-    low, high = scale_range_m
-    if len(poses) == 0:
-        return f"no combination of keypoint modes forms the part's triangle at a scale of {low:.3g} to {high:.3g} m"
-    poses = poses.take(_distinct_best(poses, _support(poses, sketch), kappa))
-    poses = _refined(poses, sketch, _COARSE_GATES)
+    if part.side_logits is not None and len(part.votes) and spread[2] <= _PLANAR * spread[1]:
+        logits = np.nan_to_num(np.asarray(part.side_logits, np.float64)[chosen], posinf=40.0, neginf=-40.0)
+        sides = np.tanh(0.5 * logits)
+    return Evidence(anchors, counted, kappa, np.asarray(part.extents_unit, np.float64), sides, normal)
+
+
+def _ranked(poses: Similarities, evidence: Evidence) -> tuple[Similarities, float]:
+    """The distinct poses, best supported first, and the second one's support over the first one's."""
     support = _support(poses, evidence)
-    order = _distinct_best(poses, support, kappa)
+    order = _distinct_best(poses, support, evidence.keypoints_unit)
     ratio = float(support[order[1]] / max(support[order[0]], 1e-12)) if len(order) > 1 else 0.0
-    best = _refined(poses.take(order[:1]), evidence, _FINE_GATES)
-    if not low <= best.s[0] <= high:
-        return f"the refined scale {best.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
-    if ratio <= AMBIGUOUS_RATIO:
-        return _registration(best, evidence, ratio)
-    rival = _refined(poses.take(order[1:2]), evidence, _FINE_GATES)
+    return poses.take(order), ratio
+
+
+def _result(poses: Similarities, attempt: _Attempt, ratio: float) -> Registration | Ambiguous | str:
+    """Of the best pose, and a second where it is as good."""
+    low, high = attempt.scale_range_m
+    if not low <= poses.s[0] <= high:
+        return f"the refined scale {poses.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
+    best = _registration(poses.take(np.array([0])), attempt.evidence, ratio)
+    if len(poses) == 1:
+        return best
     return Ambiguous(
-        (_registration(best, evidence, ratio), _registration(rival, evidence, 1.0)),
+        (best, _registration(poses.take(np.array([1])), attempt.evidence, 1.0)),
         f"ambiguous: another pose has {ratio:.3f} of this one's support, and neither box nor sides decide",
     )
 
 
-def _checked(
-    points_camera: NDArray[np.floating],
-    radii_m: NDArray[np.floating],
-    keypoints_unit: NDArray[np.floating],
-    num_voted: int,
-    extents_unit: NDArray[np.floating],
-    scale_range_m: tuple[float, float],
-    side_logits: NDArray[np.floating] | None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    points, radii = np.asarray(points_camera, np.float64), np.asarray(radii_m, np.float64)
-    kappa = np.asarray(keypoints_unit, np.float64)
+def _checked(part: Observed) -> tuple[FloatArray, FloatArray, FloatArray]:
+    points, radii = np.asarray(part.points_camera, np.float64), np.asarray(part.radii_m, np.float64)
+    num_voted = len(part.votes)
+    kappa = np.asarray(part.keypoints_unit, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points_camera: expected (N, 3) metres, got {points.shape}; pass one part's points as rows")
     if kappa.ndim != 2 or kappa.shape[1] != 3 or len(kappa) < 3:
@@ -162,14 +217,16 @@ def _checked(
         )
     if num_voted > len(kappa):
         raise ValueError(f"votes: expected at most {len(kappa)}, one for each keypoint, got {num_voted}; score fewer")
-    if np.shape(extents_unit) != (3,):
-        raise ValueError(f"extents_unit: expected (3,), got {np.shape(extents_unit)}; pass the part's box in diagonals")
-    if not 0.0 < scale_range_m[0] <= scale_range_m[1] < float("inf"):
-        raise ValueError(f"scale_range_m: expected 0 < low <= high, got {scale_range_m}; pass diagonals in metres")
-    if side_logits is not None and np.shape(side_logits) != (len(points), num_voted):
+    if np.shape(part.extents_unit) != (3,):
+        raise ValueError(
+            f"extents_unit: expected (3,), got {np.shape(part.extents_unit)}; pass the part's box in diagonals"
+        )
+    if not 0.0 < part.scale_range_m[0] <= part.scale_range_m[1] < float("inf"):
+        raise ValueError(f"scale_range_m: expected 0 < low <= high, got {part.scale_range_m}; pass diagonals in metres")
+    if part.side_logits is not None and np.shape(part.side_logits) != (len(points), num_voted):
         raise ValueError(
             f"side_logits: expected {(len(points), num_voted)}, a column for each voted keypoint, "
-            f"got {np.shape(side_logits)}; pass the columns of the voted keypoints, or None"
+            f"got {np.shape(part.side_logits)}; pass the columns of the voted keypoints, or None"
         )
     return points, radii, kappa
 
@@ -213,53 +270,14 @@ def _distinct_best(poses: Similarities, support: FloatArray, kappa: FloatArray) 
     return np.array(chosen, np.intp)
 
 
-def _normal_equations(
-    poses: Similarities, evidence: Evidence, scales_m: FloatArray | None, gate: float
-) -> tuple[FloatArray, FloatArray, multilateration.RadialSystem]:
-    """(B, n, 7, 7) and (B, n, 7), for each keypoint, unscaled, and the sums over points they come from.
-
-    d e_ij = u_ij . (omega x a_j + dt + a_j dlog s) = u_ij . B_j step, so the points enter by sum w u u^T
-    alone.
-    """
-    arms = poses.arms(evidence.keypoints_unit)
-    count, num_keypoints, _ = arms.shape
-    place = (arms + (poses.t - evidence.anchors.origin)[:, None]).reshape(-1, 3)
-    size_m = float(np.median(poses.s))
-    radii = np.tile(evidence.radii_m, (count, 1))
-    system = multilateration.radial_system(place, evidence.anchors, radii, scales_m, gate * size_m, 1e-4 * size_m)
-    jacobian = np.empty((count, num_keypoints, 3, 7))
-    jacobian[..., :3] = -skew(arms)
-    jacobian[..., 3:6] = np.eye(3)
-    jacobian[..., 6] = arms
-    transposed = jacobian.transpose(0, 1, 3, 2)
-    hessian = transposed @ system.hessian.reshape(count, num_keypoints, 3, 3) @ jacobian
-    gradient = (transposed @ system.gradient.reshape(count, num_keypoints, 3, 1))[..., 0]
-    return hessian, gradient, system
-
-
-def _refined(poses: Similarities, evidence: Evidence, gates: tuple[float, ...]) -> Similarities:
-    """Gauss-Newton over seven degrees of freedom on all radii, each keypoint weighted by its own scale."""
-    scales_m = None
-    for round_, gate in enumerate(gates):
-        # The scale moves little and its sort costs as much as the rest of an iteration.
-        hessian, gradient, system = _normal_equations(poses, evidence, scales_m if round_ % 2 else None, gate)
-        scales_m = system.scales
-        precision = (1.0 / scales_m**2).reshape(len(poses), -1, 1)
-        step = multilateration.damped_step(
-            (hessian * precision[..., None]).sum(axis=1), (gradient * precision).sum(axis=1), limit=0.3
-        )
-        step[:, 6] = np.clip(step[:, 6], -0.5, 0.5)
-        poses = poses.moved(-step)
-    return poses
-
-
 def _registration(pose: Similarities, evidence: Evidence, runner_up_ratio: float) -> Registration:
     """The one pose with its covariance and residuals."""
-    hessian, _, system = _normal_equations(pose, evidence, None, _FINE_GATES[-1])
-    squares = system.weights * system.residuals**2
-    weight = np.maximum(system.weights.sum(axis=1), 1e-12)
+    equations = pose_system(pose, stacked_radii([evidence]), None, _FINE_GATES[-1])
+    system = equations.radial
+    squares = (system.weights * system.residuals**2)[0]
+    weight = np.maximum(system.weights[0].sum(axis=1), 1e-12)
     variance = np.maximum(squares.sum(axis=1) / weight, 1e-14)
-    information = (hessian[0] / variance[:, None, None]).sum(axis=0)
+    information = (equations.hessian[0] / variance[:, None, None]).sum(axis=0)
     return Registration(
         T_camera_part=np.asarray(transform_from(pose.R[0], pose.t[0]), np.float64),
         scale_m=float(pose.s[0]),
