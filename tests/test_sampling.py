@@ -24,7 +24,7 @@ def sampled(depth: np.ndarray, region=(200, 150, 240, 180), **changes) -> Region
 
 @pytest.mark.parametrize("side", [7, 64, 224])
 def test_progressive_order_visits_every_pixel_once_and_every_prefix_evenly(side: int) -> None:
-    rows, columns = progressive_order(side)
+    rows, columns = np.divmod(progressive_order(side), side)
     assert len(set(zip(rows.tolist(), columns.tolist(), strict=True))) == side * side
     if side == 224:
         for count in LEVELS[:3]:

@@ -34,7 +34,7 @@ class Camera:
                 f"got {np.asarray(self.K).tolist()}; "
                 "nine numbers in a row may be column-major"
             )
-        if not np.allclose([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1.0], 0.0, atol=1e-9):
+        if max(abs(K[1, 0]), abs(K[2, 0]), abs(K[2, 1]), abs(K[2, 2] - 1.0)) > 1e-9:
             raise ValueError(
                 f"Camera.K: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}; "
                 "it may be stored transposed"

@@ -61,11 +61,11 @@ def require_rigid(T_a_b: Array, *, name: str) -> Array:
     T = np.asarray(T_a_b, dtype=float)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ValueError(f"{name}: expected a finite 4x4 transform, got shape {T.shape}; check the file it is from")
-    if not np.allclose(T[3], [0.0, 0.0, 0.0, 1.0], atol=1e-9):
+    if np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-9:
         raise ValueError(f"{name}: expected the last row 0 0 0 1, got {T[3].tolist()}; is it stored transposed?")
     R = T[:3, :3]
     determinant = float(np.linalg.det(R))
-    if not np.allclose(R.T @ R, np.eye(3), atol=ORTHONORMAL_TOLERANCE) or determinant < 0:
+    if np.abs(R.T @ R - np.eye(3)).max() > ORTHONORMAL_TOLERANCE or determinant < 0:
         raise ValueError(
             f"{name}: expected a rotation (orthonormal, determinant +1), got determinant {determinant:.6g}; "
             "if it carries a scale, divide by the cube root of the determinant first"

@@ -46,8 +46,8 @@ class RegionSample:
 
 
 @lru_cache(maxsize=32)
-def progressive_order(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """(rows, columns) of all pixels of a side x side grid such that every prefix is spread evenly over the grid.
+def progressive_order(side: int) -> NDArray[np.intp]:
+    """(side^2,) flat indices of a side x side grid's pixels such that every prefix is spread evenly over the grid.
 
     The order in which the R2 sequence (the plastic number's additive recurrence, a low-discrepancy sequence)
     first touches the pixels.
@@ -60,8 +60,7 @@ def progressive_order(side: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     _, first = np.unique(flat, return_index=True)
     order = flat[np.sort(first)]
     untouched = np.setdiff1d(np.arange(side * side), order, assume_unique=True)
-    order = np.concatenate([order, untouched])
-    return order // side, order % side
+    return np.concatenate([order, untouched])
 
 
 def square_region(region: Region, margin: float = REGION_MARGIN) -> Region:
@@ -121,41 +120,79 @@ def sample_region(
     x, y, side, _ = square
     # In steps, so that the few orders there are stay in the cache whatever sizes a detector gives.
     grid = min(side, image_size) // GRID_STEP * GRID_STEP or side
-    rows, columns = progressive_order(grid)
     lattice = np.floor((np.arange(grid) + 0.5) * (side / grid)).astype(np.intp)
-    v, u = (lattice + y)[rows], (lattice + x)[columns]
-    height, width = frame.depth_m.shape
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    v, u, rows, columns = v[inside], u[inside], rows[inside], columns[inside]
-    depth = frame.depth_m[v, u]
-    central = (np.abs(rows - grid / 2) < grid / 4) & (np.abs(columns - grid / 2) < grid / 4)
-    valid = np.isfinite(depth) & (depth > 0)
-    central_depth = depth[valid & central] if (valid & central).any() else depth[valid]
-    if valid.sum() < MIN_POINTS:
-        return f"not seen: {int(valid.sum())} depth readings in the region, at least {MIN_POINTS} are needed"
-    pixels = np.stack([u, v], axis=-1)[valid].astype(np.float32)
-    points = frame.camera.backproject(pixels, depth[valid]).astype(np.float32)
+    u, v = lattice + x, lattice + y
+    depth = _readings(frame.depth_m, u, v)
+    valid = depth > 0
+    found = depth[valid]
+    if len(found) < MIN_POINTS:
+        return f"not seen: {len(found)} depth readings in the region, at least {MIN_POINTS} are needed"
     middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
-    anchor_depth, near_depth = np.median(central_depth), np.quantile(depth[valid], NEAR_SHARE)
-    if anchor_depth - near_depth > radius_m:
-        anchor_depth = near_depth
+    anchor_depth = _anchor_depth(depth, valid, found, radius_m)
     anchor = frame.camera.backproject(middle, np.asarray(anchor_depth))
-    near = np.flatnonzero(((points - anchor.astype(np.float32)) ** 2).sum(axis=1) < radius_m**2)[:num_points]
-    if len(near) < MIN_POINTS:
+    near = valid & (_squared_distances(frame.camera, u, v, depth, anchor) < radius_m**2)
+    order = progressive_order(grid)
+    first = order[np.flatnonzero(near.ravel()[order])[:num_points]]
+    if len(first) < MIN_POINTS:
         return (
-            f"not seen: {len(near)} depth readings within {radius_m:.2f} m of the region's centre, "
+            f"not seen: {len(first)} depth readings within {radius_m:.2f} m of the region's centre, "
             f"at least {MIN_POINTS} are needed"
         )
-    chosen = np.resize(near, num_points)
+    chosen = np.resize(first, num_points)
+    rows, columns = np.divmod(chosen, grid)
+    pixels = np.stack([u[columns], v[rows]], axis=-1).astype(np.float32)
+    points = frame.camera.backproject(pixels, depth.ravel()[chosen]).astype(np.float32)
     scale = image_size / side
-    crop_pixels = (pixels[chosen] - np.array([x, y], np.float32) + 0.5) * np.float32(scale) - 0.5
-    source = np.flatnonzero(valid)[chosen]
+    crop_pixels = (pixels - np.array([x, y], np.float32) + 0.5) * np.float32(scale) - 0.5
     return RegionSample(
         image=crop_color(frame.color, square, image_size),
-        points_camera=points[chosen],
+        points_camera=points,
         pixels=crop_pixels.astype(np.float32),
-        center_camera=points[near].mean(axis=0),
+        center_camera=points[: len(first)].mean(axis=0),
         camera=frame.camera.cropped(x, y, side, side).resized(image_size, image_size),
-        source_index=(v[source] * width + u[source]).astype(np.int64),
-        num_distinct=len(near),
+        source_index=(v[rows] * frame.depth_m.shape[1] + u[columns]).astype(np.int64),
+        num_distinct=len(first),
     )
+
+
+def _readings(depth_m: NDArray[np.float32], u: NDArray[np.intp], v: NDArray[np.intp]) -> NDArray[np.float32]:
+    """(grid,grid) depth at rows v and columns u, 0 beyond the image and where a reading is not finite."""
+    height, width = depth_m.shape
+    top, bottom = np.searchsorted(v, [0, height])
+    left, right = np.searchsorted(u, [0, width])
+    depth = np.zeros((len(v), len(u)), np.float32)
+    depth[top:bottom, left:right] = depth_m[np.ix_(v[top:bottom], u[left:right])]
+    depth[~np.isfinite(depth)] = 0.0
+    return depth
+
+
+def _anchor_depth(
+    depth: NDArray[np.float32], valid: NDArray[np.bool_], found: NDArray[np.float32], radius_m: float
+) -> float:
+    """Metres to the thing a region is about, from its depth (grid,grid), where that is valid, and these readings."""
+    grid = len(depth)
+    # Cells within a quarter of the grid of its middle.
+    half = slice(grid // 4 + 1, -(-3 * grid // 4))
+    central = depth[half, half][valid[half, half]]
+    central_depth = float(np.median(central if len(central) else found))
+    near_depth = float(np.quantile(found, NEAR_SHARE))
+    return near_depth if central_depth - near_depth > radius_m else central_depth
+
+
+def _squared_distances(
+    camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp], depth: NDArray[np.float32], anchor: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """(grid,grid) m^2 from the point of each reading to the anchor (3,)."""
+    y_ray = ((v - camera.K[1, 2]) / camera.K[1, 1]).astype(np.float32)
+    x_ray = ((u - camera.K[0, 2]) / camera.K[0, 0]).astype(np.float32)
+    slope = np.float32(camera.K[0, 1] / camera.K[0, 0])
+    ax, ay, az = anchor.astype(np.float32)
+    x = depth * (x_ray - slope * y_ray[:, None]) - ax
+    y = depth * y_ray[:, None] - ay
+    z = depth - az
+    x *= x
+    y *= y
+    z *= z
+    x += y
+    x += z
+    return x
