@@ -78,7 +78,9 @@ def _run(options: argparse.Namespace) -> None:
     if not options.quick:
         require_folder_place(out, option="--out")
 
-    from benchmarks.sweep import Cache, document_from, fingerprint, full_steps, machine, quick_steps, readable
+    from benchmarks.report import Cache, document_from, fingerprint, machine
+    from benchmarks.steps import full_steps, quick_steps
+    from benchmarks.tables import readable
 
     steps = quick_steps() if options.quick else full_steps()
     measured_on = machine()

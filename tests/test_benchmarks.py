@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from benchmarks import scorer
 from benchmarks.accumulators import gemm_votes, grid_around, maximum
-from benchmarks.sweep import Cache, Step, document_from, full_steps, machine, quick_steps, readable
+from benchmarks.report import Cache, document_from, machine
+from benchmarks.steps import Step, full_steps, quick_steps
 from benchmarks.synthetic import EXACT, KEYPOINT_DISTANCE_M, SHAPES, Noise, suite
+from benchmarks.tables import readable
 
 from dense_accumulator import dense_votes
 from synthetic_parts import SyntheticPart

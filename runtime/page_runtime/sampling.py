@@ -129,7 +129,7 @@ def sample_region(
         return f"not seen: {len(found)} depth readings in the region, at least {MIN_POINTS} are needed"
     middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
     anchor_depth = _anchor_depth(depth, valid, found, radius_m)
-    anchor = frame.camera.backproject(middle, np.asarray(anchor_depth))
+    anchor = np.asarray(frame.camera.backproject(middle, np.asarray(anchor_depth)), np.float64)
     near = valid & (_squared_distances(frame.camera, u, v, depth, anchor) < radius_m**2)
     order = progressive_order(grid)
     first = order[np.flatnonzero(near.ravel()[order])[:num_points]]
