@@ -4,7 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from benchmarks.measurements import measure_equality, measure_frames, measure_memory, measure_mis_scaled, measure_parts
+from benchmarks.measurements import (
+    TOTAL_POINTS,
+    measure_equality,
+    measure_frames,
+    measure_memory,
+    measure_mis_scaled,
+    measure_parts,
+)
 from benchmarks.peers import measure_complete, measure_peers
 from benchmarks.planar import measure_planar
 from benchmarks.synthetic import KEYPOINT_DISTANCE_M, Noise
@@ -74,6 +81,8 @@ def full_steps() -> list[Step]:
             for name in KEYPOINT_DISTANCE_M
             for voxel_m in (0.002, 0.005, 0.010)
         ),
+        # All points of a frame on one part: the exhaustive accumulators pay for each of them.
+        _peer_step("mid", 0.010, parts=12, slab_evaluations=2e7, num_points=TOTAL_POINTS),
         Step("complete", lambda: measure_complete(replace(BASE, distance="near", voxel_m=0.010))),
     ]
 
@@ -113,7 +122,9 @@ def _single_steps(*, planar: int, parts: int) -> list[Step]:
     ]
 
 
-def _peer_step(distance: str, voxel_m: float, *, parts: int, slab_evaluations: float) -> Step:
-    setting = replace(BASE, distance=distance, voxel_m=voxel_m, parts=parts)
-    name = f"peers {distance} {1e3 * voxel_m:g} mm"
+def _peer_step(
+    distance: str, voxel_m: float, *, parts: int, slab_evaluations: float, num_points: int = BASE.num_points
+) -> Step:
+    setting = replace(BASE, distance=distance, voxel_m=voxel_m, parts=parts, num_points=num_points)
+    name = f"peers {distance} {1e3 * voxel_m:g} mm" + ("" if num_points == BASE.num_points else f" {num_points} points")
     return Step(name, lambda: measure_peers(setting, slab_evaluations=slab_evaluations))
