@@ -24,7 +24,7 @@ ByteArray = NDArray[np.uint8]
 
 # More and smaller blocks drop a cell sooner, but cost calls: 6 of 170 and 4 of 73 voters took least time.
 _MAX_BLOCKS = 6
-_BLOCK_VOTERS = 64
+_BLOCK_VOTERS = 128
 _CHUNK_EVALUATIONS = 100_000
 # |d^2 - m| <= t is asked as 0 <= (d^2 - m) / t + 1 <= 2, and that of the float's bits by one unsigned comparison:
 # negative numbers and NaN have larger bits than 2.0.
