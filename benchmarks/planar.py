@@ -14,7 +14,6 @@ FloatArray = NDArray[np.float64]
 
 # Of a plate a position is right this near to the keypoint, or not at a wrong peak and nearer than to its mirror image.
 RIGHT_M = 0.02
-
 WRONG_SIDES = 0.2
 
 

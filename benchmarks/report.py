@@ -21,8 +21,6 @@ from page_runtime.bench import PAPER_MS, cpu_name, versions
 from page_runtime.commands.outputs import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
 # A result is of these sources; when they change it is measured again.
 SOURCES = (
     "runtime/page_runtime/*.py",
@@ -44,7 +42,6 @@ SOURCES = (
 )
 
 PAPER_NOTE = "on an RTX 4090, with a voxel size and a number of parts that the paper does not state"
-
 TARGET_RATIOS = {"gemm": 3000, "algorithm_1": 4000}
 
 

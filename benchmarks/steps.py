@@ -18,11 +18,8 @@ from benchmarks.synthetic import KEYPOINT_DISTANCE_M, Noise
 from benchmarks.trials import Setting
 
 PARTS_OF_FRAME = (2, 4, 7)
-
 CORRELATED_M = 0.008
-
 BASE = Setting()
-
 CORRELATED = Noise(correlated_m=CORRELATED_M)
 
 

@@ -21,9 +21,7 @@ RuleName = Literal["two-sided", "one-sided"]
 
 # Eq. 16 and the paper's Algorithm 1, by the names of the dense accumulator.
 RULES: dict[RuleName, VoteRule] = {"two-sided": TWO_SIDED, "one-sided": ONE_SIDED}
-
 SCALE_RANGE_M = (0.15, 1.1)
-
 # A voxel farther from the truth belongs to another mode: medians of keypoint errors are over the others.
 WRONG_PEAK_M = 0.06
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,11 +25,11 @@ DEFAULT_RUNS = Path("export/checkpoints")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-train; returns the exit code: 0 done, 2 bad input, 130 interrupted."""
+    """Run page-train; returns the exit code: 0 done, 1 the doctor found errors, 2 bad input, 130 interrupted."""
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        options.run_command(options)
+        code = options.run_command(options)
     except ImportError as error:
         print(f"page-train: {error}; training needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
         return 2
@@ -37,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("page-train: interrupted; the same command goes on from here", file=sys.stderr)
         return 130
-    return 0
+    return code or 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,6 +83,11 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--seed", type=int, default=0)
     record.add_argument("--width", type=int, help="px (default: each scene's own camera)")
     record.add_argument("--jpeg", action="store_true", help="colour as .jpg, a tenth of the size")
+    doctor = commands.add_parser("doctor", help="say what is wrong with a data set, and where")
+    doctor.add_argument("dataset", type=Path, help="a folder")
+    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help="artimage, reartmix, robotarm or one of your own")
+    doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
+    doctor.set_defaults(run_command=_doctor)
     return parser
 
 
@@ -182,6 +189,21 @@ def _record(options: argparse.Namespace) -> None:
             on_frame=lambda: progress.advance(task),
         )
     print(options.out)
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from page_training.datasets.doctor import examine
+
+    with _progress() as progress:
+        task = progress.add_task(str(options.dataset), total=None)
+        findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
+    for one in findings:
+        print(
+            f"{one.severity:8s} {one.check:9s} {one.what}" + (f"\n{'':18s} first at {one.where}" if one.where else "")
+        )
+    if options.json is not None:
+        options.json.write_text(json.dumps([asdict(one) for one in findings], indent=2) + "\n")
+    return int(any(one.severity == "error" for one in findings))
 
 
 if __name__ == "__main__":
