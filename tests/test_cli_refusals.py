@@ -1,0 +1,310 @@
+"""Bad input gets a sentence and exit code 2, and nothing is written."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import pytest
+
+import toy
+from page_runtime.bundle import METADATA_KEY
+from page_runtime.cli import main
+from page_runtime.image_files import write_color
+from page_runtime.recorded import Instance, RecordedFrame
+from page_runtime.recording import RecordingWriter
+
+Break = Callable[[Path], object]
+
+
+def edit_json(name: str, change: Callable[[Any], Any]) -> Break:
+    def apply(folder: Path) -> None:
+        path = folder / name
+        path.write_text(json.dumps(change(json.loads(path.read_text()))))
+
+    return apply
+
+
+def edit_camera(**fields: Any) -> Break:
+    """Change fields of every frame's camera; None removes one."""
+
+    def change(document: Any) -> Any:
+        for camera in document.values():
+            camera.update(fields)
+            for name in [name for name, value in fields.items() if value is None]:
+                del camera[name]
+        return document
+
+    return edit_json("scene_camera.json", change)
+
+
+def scaled_K(factor: float) -> list[float]:
+    K = toy.toy_camera().K.copy()
+    K[:2] *= factor
+    return K.ravel().tolist()
+
+
+def edit_frame(**fields: Any) -> Break:
+    def change(document: Any) -> Any:
+        document["frames"]["1"].update(fields)
+        return document
+
+    return edit_json("recording.json", change)
+
+
+def edit_recording(**fields: Any) -> Break:
+    return edit_json("recording.json", lambda document: document | fields)
+
+
+def replace_depth(pixels: np.ndarray, suffix: str = ".png") -> Break:
+    def apply(folder: Path) -> None:
+        path = folder / "depth" / "000001.png"
+        written, data = cv2.imencode(suffix, pixels)
+        assert written
+        path.write_bytes(data.tobytes())
+
+    return apply
+
+
+def cut(name: str, share: float = 0.5) -> Break:
+    def apply(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: int(len(data) * share)])
+
+    return apply
+
+
+def scramble(name: str) -> Break:
+    """Damage in the middle, which only decoding finds."""
+
+    def apply(folder: Path) -> None:
+        data = bytearray((folder / name).read_bytes())
+        middle = len(data) // 2
+        data[middle : middle + 64] = bytes(64)
+        (folder / name).write_bytes(data)
+
+    return apply
+
+
+def remove(name: str) -> Break:
+    def apply(folder: Path) -> None:
+        path = folder / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return apply
+
+
+def write(name: str, text: str) -> Break:
+    return lambda folder: (folder / name).write_text(text)
+
+
+def half_size(folder: Path) -> None:
+    write_color(folder / "rgb" / "000001.png", np.zeros((120, 160, 3), np.uint8))
+
+
+H, W = 240, 320
+
+BROKEN_RECORDINGS: dict[str, tuple[Break, str]] = {
+    "no depth folder": (remove("depth"), "no depth/ folder"),
+    "no depth of a frame": (remove("depth/000001.png"), "1 of 3 frames are not in depth/, the first is 1"),
+    "no colour folder": (remove("rgb"), "no rgb/ folder"),
+    "no cameras": (remove("scene_camera.json"), "no scene_camera.json"),
+    "no truth document": (remove("scene_gt.json"), "scene_gt.json has 0 entries"),
+    "depth without scale": (edit_camera(depth_scale=None), "depth without a scale"),
+    "depth scale zero": (edit_camera(depth_scale=0), "expected a positive depth scale"),
+    "depth scale not a number": (edit_camera(depth_scale="1 mm"), "depth_scale: expected a number"),
+    "8-bit depth": (replace_depth(np.ones((H, W), np.uint8)), "16-bit single-channel PNG, got 8-bit"),
+    "colour as depth": (replace_depth(np.ones((H, W, 3), np.uint16)), "got 16-bit colour PNG"),
+    "JPEG as depth": (replace_depth(np.ones((H, W), np.uint8), ".jpg"), "got 8-bit single-channel JPEG"),
+    "float depth": (replace_depth(np.ones((H, W), np.float32), ".tiff"), "expected a PNG or JPEG picture"),
+    "depth of another size": (replace_depth(np.ones((H, 2 * W), np.uint16)), "register depth to colour first"),
+    "K of twice the size": (edit_camera(cam_K=scaled_K(2)), "K does not match the image size"),
+    "K of three times the size": (edit_camera(cam_K=scaled_K(3)), "K does not match the image size"),
+    "K of half the size": (edit_camera(cam_K=scaled_K(0.5)), "K does not match the image size"),
+    "a picture of half the size": (half_size, "K is for 320x240 but 000001.png is 160x120"),
+    "K of eight numbers": (edit_camera(cam_K=[1.0] * 8), "cam_K: expected 9 numbers"),
+    "K transposed": (edit_camera(cam_K=toy.toy_camera().K.T.ravel().tolist()), "may be stored transposed"),
+    "K missing": (edit_camera(cam_K=None), "expected a field 'cam_K'"),
+    "K infinite": (edit_camera(cam_K=[float("inf")] * 9), "cam_K: expected 9 numbers"),
+    "a region outside": (edit_frame(instances=[{"region": [500, 0, 9, 9], "parts": None}]), "outside the 320x240"),
+    "an empty region": (edit_frame(instances=[{"region": [5, 5, 0, 9], "parts": None}]), "expected a positive size"),
+    "a frame the recording does not know": (edit_recording(frames={}), "expected a field '0', found none"),
+    "a newer version": (edit_recording(version=99), "expected version 1, got 99"),
+    "another category": (edit_recording(category="laptop"), "but .* holds 'laptop'"),
+    "other parts": (edit_recording(parts=["base", "screen"]), "knows the parts base, lid"),
+    "not JSON": (write("recording.json", "{"), "expected JSON"),
+    "JSON of another kind": (write("scene_camera.json", "[]"), "expected a JSON object"),
+    "binary as JSON": (lambda folder: (folder / "scene_gt.json").write_bytes(b"\xff\xfe"), "expected JSON"),
+    "a colour picture cut off": (cut("rgb/000002.png"), "cut off or damaged"),
+    "a depth picture cut off": (cut("depth/000002.png", 0.9), "cut off or damaged"),
+    "an empty picture": (cut("rgb/000002.png", 0.0), "expected a PNG or JPEG picture"),
+    "damage inside a picture": (scramble("rgb/000002.png"), "cut off or damaged"),
+    "truth that is not rigid": (
+        edit_json("scene_gt.json", lambda d: {key: [e | {"cam_R_m2c": [2.0] * 9} for e in v] for key, v in d.items()}),
+        "expected a rotation",
+    ),
+}  # fmt: skip
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    return {str(path): path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def refused(arguments: list[str], sentence: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command ends with 2, one line on standard error with the sentence in it, and nothing new in the folder."""
+    before = tree(folder)
+    capsys.readouterr()
+    assert main([*arguments, "--quiet"] if arguments[0] in ("run", "validate", "bench") else arguments) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("page-runtime: ")
+    assert err.count("\n") == 1
+    assert re.search(sentence, err), err
+    assert "Traceback" not in err
+    assert out == ""
+    assert tree(folder) == before
+
+
+@pytest.mark.parametrize("case", BROKEN_RECORDINGS)
+@pytest.mark.parametrize("command", ["run", "validate", "bench"])
+def test_a_broken_recording_is_refused_in_a_sentence(
+    command: str,
+    case: str,
+    toy_recording: Path,
+    oracle_bundle: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    damage, sentence = BROKEN_RECORDINGS[case]
+    shutil.copytree(toy_recording, tmp_path / "recording")
+    damage(tmp_path / "recording")
+    arguments = [command, str(tmp_path / "recording"), "--bundle", str(oracle_bundle)]
+    outputs = ["--out" if command == "run" else "--json", str(tmp_path / "out")]
+    if command != "bench":
+        outputs += ["--overlay", str(tmp_path / "pictures")]
+    refused([*arguments, *outputs], sentence, tmp_path, capsys)
+
+
+def model_without_metadata(path: Path, good: Path) -> None:
+    model = onnx.load(good)
+    del model.metadata_props[:]
+    path.write_bytes(model.SerializeToString())
+
+
+def model_with_metadata(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path, Path], None]:
+    def apply(path: Path, good: Path) -> None:
+        model = onnx.load(good)
+        (entry,) = [entry for entry in model.metadata_props if entry.key == METADATA_KEY]
+        document = json.loads(entry.value)
+        change(document)
+        entry.value = json.dumps(document)
+        path.write_bytes(model.SerializeToString())
+
+    return apply
+
+
+BROKEN_BUNDLES: dict[str, tuple[Callable[[Path, Path], Any], str]] = {
+    "absent": (lambda _path, _good: None, "no file"),
+    "a folder": (lambda path, _: path.mkdir(), "no file"),
+    "empty": (lambda path, _: path.touch(), "got 0"),
+    "text": (lambda path, _: path.write_text("weights"), "onnxruntime cannot load it"),
+    "truncated": (lambda path, good: path.write_bytes(good.read_bytes()[:-200]), "bundle .*broken.onnx"),
+    "half": (lambda path, good: path.write_bytes(good.read_bytes()[: good.stat().st_size // 2]), "bundle .*broken"),
+    "a model of something else": (model_without_metadata, "no 'page.bundle' in the metadata"),
+    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 2, got 99"),
+    "lacking a field": (model_with_metadata(lambda d: d.pop("voxel_m")), r"broken\.onnx: .*missing \['voxel_m'\]"),
+    "of other shapes": (model_with_metadata(lambda d: d.update(image_size=128)), "image .* 128, 128] by .*got .*224"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN_BUNDLES)
+@pytest.mark.parametrize("command", ["run", "validate", "bench", "inspect"])
+def test_a_broken_bundle_is_refused_in_a_sentence(
+    command: str,
+    case: str,
+    toy_recording: Path,
+    oracle_bundle: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    damage, sentence = BROKEN_BUNDLES[case]
+    path = tmp_path / "broken.onnx"
+    damage(path, oracle_bundle)
+    if command == "inspect":
+        refused(["inspect", str(path)], sentence, tmp_path, capsys)
+    else:
+        option = "--out" if command == "run" else "--json"
+        arguments = [command, str(toy_recording), "--bundle", str(path), option, str(tmp_path / "out")]
+        refused(arguments, sentence, tmp_path, capsys)
+
+
+# {} stands for a folder with an empty folder, a folder of something else, a file, and a plain recording without boxes.
+BAD_CALLS: dict[str, tuple[list[str], str]] = {
+    "an empty folder": (["run", "{}/empty", "--bundle", "B"], "the folder is empty"),
+    "no such folder": (["run", "{}/nowhere", "--bundle", "B"], "no such folder"),
+    "a file": (["run", "{}/file", "--bundle", "B"], "expected a folder, got a file"),
+    "a folder of something else": (["run", "{}/else", "--bundle", "B"], "found notes.txt"),
+    "nothing says where the object is": (["run", "{}/plain", "--bundle", "B"], "pass --region x,y,w,h"),
+    "no truth": (["validate", "{}/plain", "--bundle", "B"], "does not say where|no true poses"),
+    "a region outside": (["run", "R", "--bundle", "B", "--region", "320,0,10,10"], "320,0,10,10 lies outside"),
+    "a region of no size": (["run", "R", "--bundle", "B", "--region", "5,5,0,10"], "expected a positive size"),
+    "a region of three numbers": (["run", "R", "--bundle", "B", "--region", "5,5,10"], "four whole numbers x,y,w,h"),
+    "a region in words": (["run", "R", "--bundle", "B", "--region", "left"], "four whole numbers x,y,w,h"),
+    "no bundle named": (["run", "R"], "--bundle"),
+    "no command": ([], "COMMAND"),
+    "an unknown command": (["estimate"], "estimate"),
+    "fewer than no threads": (["run", "R", "--bundle", "B", "--threads", "-1"], "--threads"),
+    "an output in no folder": (["run", "R", "--bundle", "B", "--out", "{}/nowhere/o"], "no folder"),
+    "an output that is a folder": (["run", "R", "--bundle", "B", "--out", "{}/empty"], "got the folder"),
+    "pictures into a file": (["run", "R", "--bundle", "B", "--overlay", "{}/file"], "got the file"),
+    "pictures in no folder": (["run", "R", "--bundle", "B", "--overlay", "{}/nowhere/o"], "no folder"),
+    "an output that is a device": (["run", "R", "--bundle", "B", "--out", "/dev/null"], "expected the name of a file"),
+    "an output in a folder that takes none": (["run", "R", "--bundle", "B", "--out", "/proc/o"], "cannot write into"),
+    "pictures in a folder that takes none": (["run", "R", "--bundle", "B", "--overlay", "/proc"], "cannot write into"),
+    "figures in a folder that takes none": (["bench", "R", "--bundle", "B", "--json", "/proc/o"], "cannot write into"),
+    "figures in no folder": (["bench", "R", "--bundle", "B", "--json", "{}/nowhere/o"], "no folder"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_CALLS)
+def test_a_call_that_cannot_be_served_is_refused_in_a_sentence(
+    case: str, toy_recording: Path, oracle_bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments, sentence = BAD_CALLS[case]
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "notes.txt").touch()
+    (tmp_path / "file").touch()
+    plain = tmp_path / "plain"
+    recorded, _ = toy.toy_frame()
+    with RecordingWriter(plain, category="box", part_names=("base", "lid")) as writer:
+        writer.write(RecordedFrame(recorded.frame))
+    known = {"R": str(toy_recording), "B": str(oracle_bundle)}
+    filled = [known.get(argument, argument.replace("{}", str(tmp_path))) for argument in arguments]
+    if not filled:
+        assert main([]) == 2
+        assert "page-runtime: " in capsys.readouterr().err
+    else:
+        refused(filled, sentence, tmp_path, capsys)
+
+
+def test_a_recording_with_truth_in_no_frame_cannot_be_validated(
+    oracle_bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded, _ = toy.toy_frame()
+    with RecordingWriter(tmp_path / "r", category="box", part_names=("base", "lid")) as writer:
+        writer.write(RecordedFrame(recorded.frame, (Instance(recorded.instances[0].region),)))
+    refused(["validate", str(tmp_path / "r"), "--bundle", str(oracle_bundle)], "no true poses", tmp_path, capsys)
+
+
+def test_a_recording_of_blind_frames_cannot_be_timed(
+    oracle_bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = toy.write_toy_recording(tmp_path / "r", frames=1, blind=(0,))
+    refused(["bench", str(recording), "--bundle", str(oracle_bundle)], "nothing to time", tmp_path, capsys)
