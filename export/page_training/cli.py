@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from page_training.train import Report
 
+MAX_COUNT = 7
 DEFAULT_CACHE = Path("export/cache")
 DEFAULT_RUNS = Path("export/checkpoints")
 
@@ -68,6 +69,12 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument(
         "--from", type=Path, dest="start_from", help="begin a new run with the network of this checkpoint"
     )
+    keypoints = command("keypoints", _keypoints, "learn keypoints of the parts, and compare them with others")
+    keypoints.add_argument("--count", type=int, default=3, help="keypoints of a part, 3 to 7 (default: %(default)s)")
+    keypoints.add_argument("--steps", type=int, default=400, help="of the KP-Estimator (default: %(default)s)")
+    keypoints.add_argument("--instances", type=int, default=96, help="objects learned from (default: %(default)s)")
+    keypoints.add_argument("--picture", type=Path, help="a .png file of all of them on several instances")
+    keypoints.add_argument("--json", type=Path, metavar="FILE", help="keypoints and figures")
     keep = command("keep", _keep, "keep the averaged network of a run: small enough to commit")
     keep.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
     keep.add_argument("--out", type=Path, required=True, help="a .pt file")
@@ -153,6 +160,41 @@ def _pose(options: argparse.Namespace) -> None:
 
         checkpoint = train(config, category_named(options.category), options.cache, run, report)
     print(checkpoint)
+
+
+def _keypoints(options: argparse.Namespace) -> None:
+    import cv2
+
+    from page_training.keypoint_estimator import EstimatorConfig, estimate_keypoints, part_clouds
+    from page_training.keypoint_report import figures_of, heuristics, picture_of
+
+    if not 3 <= options.count <= MAX_COUNT:
+        raise ValueError(f"--count: expected 3 to {MAX_COUNT}, got {options.count}")
+    config = EstimatorConfig(keypoints=options.count, steps=options.steps, instances=options.instances)
+    clouds = part_clouds(options.category, np.random.default_rng(config.seed), config.instances, config.points)
+    methods: dict[str, list[np.ndarray]] = {}
+    rows = []
+    with _progress() as progress:
+        for k, cloud in enumerate(clouds):
+            task = progress.add_task(f"part {k}", total=config.steps)
+            learned, spread = estimate_keypoints(cloud, config, lambda *_, task=task: progress.advance(task))
+            _say(f"part {k}: learned keypoints differ by {spread:.4f} diagonals between instances")
+            for name, found in {"KP-Estimator": learned, **heuristics(cloud, options.count)}.items():
+                methods.setdefault(name, []).append(found)
+                figures = figures_of(found, cloud)
+                rows.append({"part": k, "method": name, "keypoints_unit": found.tolist(), **asdict(figures)})
+                deviation = " ".join(f"{value:.3f}" for value in figures.radius_std)
+                print(
+                    f"part {k}  {name:13s} radius std {deviation}, apart {figures.apart:.3f}; "
+                    f"pose {figures.rotation_deg:.2f} deg, {100 * figures.translation:.2f} %"
+                )
+    if options.json is not None:
+        options.json.write_text(json.dumps(rows, indent=2) + "\n")
+    if options.picture is not None:
+        drawn = cv2.cvtColor(picture_of(methods, clouds), cv2.COLOR_RGB2BGR)
+        if not cv2.imwrite(str(options.picture), drawn):
+            raise OSError(f"cannot write {options.picture}")
+        print(options.picture)
 
 
 def _keep(options: argparse.Namespace) -> None:
