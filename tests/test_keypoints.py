@@ -1,4 +1,4 @@
-"""The KP-Estimator's losses are what they say, its answers alike for all instances, and the figures of the report hold."""
+"""The KP-Estimator: losses are what they say, answers alike for all instances, and the figures of the report hold."""
 
 import json
 from pathlib import Path
