@@ -56,6 +56,18 @@ def main(arguments: list[str] | None = None) -> int:
         "--on", type=Path, nargs="+", required=True, metavar="RECORDING", help="with truth, of the validation split"
     )
     calibrate.set_defaults(run_command=_calibrate)
+    card = commands.add_parser("card", help="write a bundle's model card")
+    card.add_argument("bundle", type=Path)
+    card.add_argument("-o", "--output", type=Path, required=True, help="the .md file to write")
+    card.add_argument(
+        "--figures",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("LABEL", "FILE"),
+        help="what `page-runtime validate --json` wrote, and of what; may be given several times",
+    )
+    card.set_defaults(run_command=_card)
     options = parser.parse_args(arguments)
     try:
         return options.run_command(options)
@@ -160,6 +172,17 @@ def _scorer(options: argparse.Namespace) -> int:
     partial.write_bytes(graph)
     partial.rename(options.output)
     print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+def _card(options: argparse.Namespace) -> int:
+    from page_export.card import card, read_figures
+    from page_runtime.network import Network
+
+    metadata = Network(options.bundle, threads=1).metadata
+    figures = [read_figures(label, Path(file), metadata.category.name) for label, file in options.figures]
+    options.output.write_text(card(options.bundle.name, metadata, options.bundle.stat().st_size, figures))
+    print(options.output)
     return 0
 
 
