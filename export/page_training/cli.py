@@ -136,6 +136,7 @@ def _scenes(options: argparse.Namespace) -> None:
 
 def _pose(options: argparse.Namespace) -> None:
     from page_training.train import train
+    from page_training.workers import join_workers
 
     config = TrainingConfig(
         category=options.category,
@@ -159,7 +160,8 @@ def _pose(options: argparse.Namespace) -> None:
             _say(line)
 
         checkpoint = train(config, category_named(options.category), options.cache, run, report)
-    print(checkpoint)
+    if join_workers(config.batch_size).first:
+        print(checkpoint)
 
 
 def _keypoints(options: argparse.Namespace) -> None:

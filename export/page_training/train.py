@@ -27,6 +27,7 @@ from page_training.losses import page_loss
 from page_training.network import PageNetwork, network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import open_shards
+from page_training.workers import Workers, join_workers
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -83,9 +84,10 @@ def validation_losses(
 
 
 def _batches(
-    config: TrainingConfig, category: Category, cache: Path, first_step: int, steps: int
+    config: TrainingConfig, category: Category, cache: Path, first_step: int, steps: int, workers: Workers
 ) -> Iterator[tuple[int, Batch]]:
-    """Batch number `step` depends only on the seed, the step and the cached frames, so a resumed run repeats it."""
+    """This worker's rows of batch number `step`, which depend only on the seed, the step, the number of workers and the
+    cached frames, so a resumed run repeats them."""
     shards = open_shards(cache, category.name, "train")
     for step in range(first_step, steps):
         if step % 200 == 0:
@@ -93,11 +95,11 @@ def _batches(
         if not shards:
             raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
         records = _draw(shards, np.random.default_rng([config.seed, step]), config.batch_size)
-        generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step)
+        generator = torch.Generator().manual_seed((config.seed * 1_000_003 + step) * workers.count + workers.rank)
         yield (
             step,
             make_batch(
-                records,
+                workers.rows(records),
                 category,
                 dense_points=config.dense_points,
                 generator=generator,
@@ -113,9 +115,11 @@ def train(
 
     The folder holds config.json, checkpoint.pt and history.jsonl. Interrupt it at any time; at most `save_every` steps
     are repeated. A run may go on with another number of samples or threads, and is then on another learning rate's
-    curve; ValueError when anything else differs from what it was begun with.
+    curve; ValueError when anything else differs from what it was begun with. Under torchrun its processes share every
+    batch, and the first one writes the folder.
     """
     keep_freed_memory()
+    workers = join_workers(config.batch_size)
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     network = network_for(category)
@@ -139,15 +143,18 @@ def train(
         for optimizer, saved in zip(optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(saved)
     steps = math.ceil(config.samples / config.batch_size)
-    run.mkdir(parents=True, exist_ok=True)
-    (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
+    if workers.first:
+        run.mkdir(parents=True, exist_ok=True)
+        (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
+    module = workers.joined(network)
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
-    for step, batch in _batches(config, category, cache, first_step, steps):
+    for step, batch in _batches(config, category, cache, first_step, steps, workers):
         set_learning_rate(optimizers, step, steps, config)
-        torch.manual_seed(hash((config.seed, step)))  # the gate's noise, too, depends on the step alone
-        terms = page_loss(network(batch.inputs, batch.dense), batch.targets)
+        # The gate's noise, too, depends on the step and the worker alone.
+        torch.manual_seed(hash((config.seed, step)) + workers.rank)
+        terms = page_loss(module(batch.inputs, batch.dense), batch.targets)
         network.zero_grad(set_to_none=True)
         terms["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
@@ -159,12 +166,16 @@ def train(
         counted += 1
         done = step + 1
         if done % config.save_every == 0 or done == steps:
+            means = workers.means({name: value / counted for name, value in sums.items()})
+            if not workers.first:
+                sums, counted = {}, 0
+                continue
             due = validation and (done % config.validate_every == 0 or done == steps)
             report = Report(
                 step=done,
                 steps=steps,
                 samples_per_s=counted * config.batch_size / (time.perf_counter() - since),
-                losses={name: value / counted for name, value in sums.items()},
+                losses=means,
                 validation=validation_losses(average, validation, category) if due else None,
             )
             with (run / "history.jsonl").open("a") as history:
