@@ -48,6 +48,10 @@ def test_without_figures_the_card_says_so(oracle_bundle: Path, tmp_path: Path) -
         ("[]", "expected a JSON object"),
         ('{"recording": ""}', "expected a field 'category'"),
         (
+            '{"recording": "", "category": "box", "instances": 1, "parts": [{}], "joints": []}',
+            "expected a field 'name'",
+        ),
+        (
             '{"recording": "", "category": "laptop", "instances": 1, "parts": [], "joints": []}',
             "expected figures of 'box', got 'laptop'",
         ),

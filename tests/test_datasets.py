@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,6 +121,7 @@ def test_masks_are_those_that_were_written(tmp_path: Path) -> None:
         ('joint_order = ["x", "x", "z"]', "joint_order: expected"),
         ("metres_per_unit = 0", "metres_per_unit: expected > 0"),
         ('first_link = "one"', "first_link: expected int"),
+        ('models = "{name}.json"', "no placeholder but"),
     ],
 )
 def test_a_wrong_layout_is_named(text: str, message: str, tmp_path: Path) -> None:
@@ -149,6 +151,33 @@ def test_signed_permutations_are_orthonormal() -> None:
     for order in (["x", "y", "z"], ["-z", "x", "y"], ["y", "-x", "-z"]):
         matrix = signed_permutation(order)
         np.testing.assert_array_equal(matrix @ matrix.T, np.eye(3))
+
+
+@pytest.mark.parametrize("fault", [Fault(link_shift=-1), Fault(sheared=True)])
+def test_the_doctor_recognises_reartmix_and_examines_it_though_it_is_faulty(fault: Fault, tmp_path: Path) -> None:
+    path = write_annotated(tmp_path, REARTMIX, fault=fault)
+    assert errors(examine(path)) == errors(found(path)) != []
+
+
+def test_annotations_of_nothing_depth_of_another_size_and_polygons_without_inside_are_said(tmp_path: Path) -> None:
+    path = write_annotated(tmp_path, REARTMIX, frames=1)
+    file = next((path / "annotations").rglob("*.json"))
+    document = json.loads(file.read_text())
+    document["instances"][0]["links"][0]["segmentation"].append([])
+    file.write_text(json.dumps(document))
+    assert errors(found(path)) == []
+    document["instances"][0]["links"][0]["segmentation"] = 5
+    file.write_text(json.dumps(document))
+    with pytest.raises(SourceError, match="segmentation: expected a list"):
+        read_annotated(path, REARTMIX)
+    file.write_text(json.dumps({"instances": []}))
+    assert any("not one link" in line for line in errors(found(path)))
+    small = write_annotated(tmp_path / "small", REARTMIX, frames=1)
+    depth = next((small / "depth").rglob("*.png"))
+    pixels = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
+    assert pixels is not None
+    cv2.imwrite(str(depth), pixels[::2, ::2])
+    assert any("register depth to colour first" in line for line in errors(found(small)))
 
 
 def test_the_doctor_examines_recordings_and_says_their_unit(toy_recording: Path, tmp_path: Path) -> None:

@@ -192,3 +192,25 @@ def test_a_frame_is_scored_in_4_mb() -> None:
     finally:
         tracemalloc.stop()
     assert peak_bytes < 4e6
+
+
+@pytest.mark.parametrize("max_evaluations", [0, 100_000])
+def test_no_rival_has_more_votes_than_the_maximum_of_a_search_cut_short(max_evaluations: int) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        extents_m = plate_extents_m(rng)
+        part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.003, outliers=0.15)
+        for votes in score_keypoints(part.points_camera, part.radii_m, max_evaluations=max_evaluations):
+            assert votes.max_votes == votes.peaks[0].votes == max(peak.votes for peak in votes.peaks)
+            np.testing.assert_array_equal(votes.peaks[0].voxel_camera, votes.ties_camera[0])
+
+
+def test_a_part_far_away_costs_another_none_of_its_modes() -> None:
+    rng = np.random.default_rng(1)
+    extents_m = plate_extents_m(rng)
+    part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.003, outliers=0.15)
+    far = part.points_camera, np.linalg.norm(part.points_camera - np.array([100.0, 0.0, 0.0]), axis=1)[:, None]
+    alone = score_parts([(part.points_camera, part.radii_m)])[0]
+    beside = score_parts([(part.points_camera, part.radii_m), far])[0]
+    for one, other in zip(alone, beside, strict=True):
+        assert [peak.votes for peak in one.peaks] == [peak.votes for peak in other.peaks]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import toy
 from page_export.cli import main
-from page_export.scorer_graph import CENTER, INPUTS, OUTPUTS, scorer_graph
+from page_export.scorer_graph import CENTER, DISTINCT, INPUTS, OUTPUTS, scorer_graph
 from page_runtime.bundle import BundleError, BundleMetadata
 from page_runtime.category import Category
 from page_runtime.estimator import MAX_VOTERS
@@ -42,12 +42,14 @@ def scored(
     points: NDArray[np.float64],
     labels: NDArray[np.int64],
     radii_m: NDArray[np.float64],
+    num_distinct: int | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Keypoints (K, 3, 3) m camera and votes (K, 3) of points (N, 3) m camera with labels (N,), radii (N, n) m."""
     unit, center = category.region_radius_m, points.mean(axis=0)
     logits = 5.0 * (labels[:, None] == np.arange(len(category.parts) + 1))
     inputs = ((points - center)[None] / unit, logits[None], radii_m[None] / unit, center[None])
-    feeds = {name: value.astype(np.float32) for name, value in zip(INPUTS, inputs, strict=True)}
+    feeds = {name: value.astype(np.float32) for name, value in zip(INPUTS, inputs, strict=False)}
+    feeds[DISTINCT] = np.array([len(points) if num_distinct is None else num_distinct])
     keypoints, votes = session.run(list(OUTPUTS), feeds)
     return np.asarray(keypoints)[0], np.asarray(votes)[0]
 
@@ -84,6 +86,21 @@ def test_the_graph_finds_the_voxels_of_the_numpy_scorer(
             assert abs(count - vote.max_votes) <= 2
 
 
+def test_repeated_points_vote_once(session: ort.InferenceSession, category: Category) -> None:
+    rng = np.random.default_rng(3)
+    extents_m = 0.7 * box_extents_m(rng)
+    part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 8), sigma_m=0.005, outliers=0.15)
+    rows = np.resize(np.arange(200), NUM_POINTS)
+    points, radii = (values[rows].astype(np.float64) for values in (part.points_camera, part.radii_m))
+    labels = np.where(rows < 5, 1, 0)
+    keypoints, counts = scored(session, category, points, labels, radii, num_distinct=200)
+    votes = score_keypoints(points[5:200], radii[5:200, :3], voxel_m=VOXEL_M)
+    assert (counts[1] == 0).all()
+    for place, count, vote in zip(keypoints[0], counts[0], votes, strict=True):
+        assert abs(count - vote.max_votes) <= 2
+        assert np.abs(vote.ties_camera - place).max(axis=1).min() <= 1.01 * VOXEL_M
+
+
 def test_a_part_without_points_has_no_votes(session: ort.InferenceSession, category: Category) -> None:
     rng = np.random.default_rng(0)
     points = rng.normal([0.0, 0.0, 1.0], 0.1, (NUM_POINTS, 3))
@@ -103,7 +120,7 @@ def test_the_command_writes_a_graph_that_the_runtime_refuses_by_name(
     said = capsys.readouterr().out
     assert "within a voxel of the numpy scorer's  1.000" in said
     inputs = [value.name for value in ort.InferenceSession(written, providers=["CPUExecutionProvider"]).get_inputs()]
-    assert inputs[-1] == CENTER
+    assert inputs[-2:] == [CENTER, DISTINCT]
     with pytest.raises(BundleError, match="expected inputs"):
         Network(written)
 

@@ -120,6 +120,8 @@ def assert_bounds_hold(
 ) -> None:
     dense = dense_votes(points, radii, voxel_m, rule=rule)
     assert votes.max_votes <= dense.max_votes <= votes.max_votes + votes.gap
+    assert all(peak.votes <= votes.max_votes for peak in votes.peaks)
+    assert [peak.votes for peak in votes.peaks] == sorted((peak.votes for peak in votes.peaks), reverse=True)
     for peak in votes.peaks:
         at = np.rint(peak.voxel_camera / voxel_m).astype(int) - dense.first
         assert dense.votes[tuple(at)] == peak.votes

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from page_training.cache import make_shard
 from page_training.categories import CATEGORIES
@@ -39,6 +40,38 @@ def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
     # Each worker augments its rows by itself, so the losses are alike, not equal.
     for kind in ("losses", "validation"):
         assert two[kind]["total"] == pytest.approx(one[kind]["total"], rel=0.1)
+
+
+GRADIENTS = """
+import sys
+import torch
+from torch import nn
+from page_training.workers import join_workers
+
+workers = join_workers(8)
+torch.manual_seed(0)
+network, rows = nn.Sequential(nn.Linear(5, 4), nn.Tanh(), nn.Linear(4, 1)), torch.randn(8, 5)
+module = workers.joined(network)
+module(torch.from_numpy(workers.rows(rows.numpy()))).square().mean().backward()
+means = workers.means({"rank": float(workers.rank)})
+torch.save(([p.grad for p in network.parameters()], means), f"{sys.argv[1]}/{workers.rank}.pt")
+"""
+
+
+def test_gradients_are_those_of_the_whole_batch_on_every_worker(tmp_path: Path) -> None:
+    script = tmp_path / "gradients.py"
+    script.write_text(GRADIENTS)
+    for count in (1, 2):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
+        subprocess.run([*torchrun, str(script), str(folder)], check=True, capture_output=True, timeout=120)
+    whole, _ = torch.load(tmp_path / "1" / "0.pt")
+    for rank in (0, 1):
+        gradients, means = torch.load(tmp_path / "2" / f"{rank}.pt")
+        assert means == {"rank": 0.5}
+        for one, other in zip(whole, gradients, strict=True):
+            torch.testing.assert_close(one, other)
 
 
 def test_workers_share_every_batch_without_rest(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,17 @@ def read_figures(label: str, path: Path, category: str) -> Figures:
     document = read_object(path)
     for name in ("recording", "category", "instances", "parts", "joints"):
         field(document, name, where=str(path))
-    listed(document["parts"], where=f"{path}, parts")
+    for part in listed(document["parts"], where=f"{path}, parts"):
+        for name in ("name", "rotation_deg", "translation_m", "translation_share", "acc_5deg5cm", "failure_rate"):
+            field(part, name, where=f"{path}, parts")
+        for name in ("rotation_deg", "translation_m", "translation_share"):
+            for kind in ("mean", "median"):
+                field(part[name], kind, where=f"{path}, {name}")
+    for joint in listed(document["joints"], where=f"{path}, joints"):
+        for name in ("name", "unit", "error"):
+            field(joint, name, where=f"{path}, joints")
+        for kind in ("mean", "median"):
+            field(joint["error"], kind, where=f"{path}, joint {joint['name']}")
     if document["category"] != category:
         raise SourceError(f"{path}: expected figures of {category!r}, got {document['category']!r}")
     return Figures(label, document)
@@ -105,9 +115,9 @@ def _table(figures: Sequence[Figures]) -> str:
                 f"| {_share(part['failure_rate'])} |"
             )
         for joint in one.document["joints"]:
-            rows.append(
-                f"| {one.label} | state of the {joint['name']} | {_pair(joint['error'], 1.0)} {joint['unit']} | | | | |"
-            )
+            factor, unit = (1e3, "mm") if joint["unit"] == "m" else (1.0, joint["unit"])
+            state = f"{_pair(joint['error'], factor)} {unit}"
+            rows.append(f"| {one.label} | state of the {joint['name']} | {state} | | | | |")
     return "\n".join(rows)
 
 

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 import onnxruntime as ort
 
-from page_export.scorer_graph import CENTER, OUTPUTS
+from page_export.scorer_graph import CENTER, DISTINCT, OUTPUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.estimator import members_of, sample_for, votes_of
 from page_runtime.neighbours import find_neighbours
@@ -61,7 +61,8 @@ def measure_scorer(bundle: Network, graph: bytes, recording: Path, *, threads: i
         votes = votes_of(members, sample.points_camera[: sample.num_distinct], output, metadata)
         numpy_done = perf_counter()
         center = np.asarray(sample.center_camera, np.float32)[None]
-        places, counts = (np.asarray(value)[0] for value in session.run(list(OUTPUTS), {**feeds, CENTER: center}))
+        further = {CENTER: center, DISTINCT: np.array([sample.num_distinct], np.int64)}
+        places, counts = (np.asarray(value)[0] for value in session.run(list(OUTPUTS), feeds | further))
         graph_done = perf_counter()
         times.append((network_done - began, numpy_done - network_done, graph_done - numpy_done))
         for part, own in votes.items():

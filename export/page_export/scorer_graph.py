@@ -28,8 +28,8 @@ BEAM = 384
 # Cells of 32 voxels a side at first: an object is ten of them wide.
 TOP_LEVEL = 5
 WINDOW = 2
-CENTER = "center_camera"
-INPUTS = ("points", "part_logits", "radii", CENTER)
+CENTER, DISTINCT = "center_camera", "num_distinct"
+INPUTS = ("points", "part_logits", "radii", CENTER, DISTINCT)
 OUTPUTS = ("voted_keypoints", "keypoint_votes")
 _PREFIX = "scorer/"
 
@@ -38,7 +38,8 @@ class VoteGraph(nn.Module):
     """Eq. 16-18 about the middle of each part's points, of standard operators only.
 
     Inputs: the network's points (1,N,3), centred, part_logits (1,N,K+1) and radii (1,N,n), lengths in region radii; and
-    the centre that was subtracted, center_camera (1,3) m, which places the lattice of voxels. Outputs: voted_keypoints
+    the centre that was subtracted, center_camera (1,3) m, which places the lattice of voxels; num_distinct (1,) int64,
+    points before repetition. Outputs: voted_keypoints
     (1,K,v,3) m camera, the voxel centres with the most votes; keypoint_votes (1,K,v), as float, 0 for a part of fewer
     than MIN_PART_POINTS points.
     """
@@ -59,16 +60,17 @@ class VoteGraph(nn.Module):
         side = 2**TOP_LEVEL
         count = math.ceil(2.0 * farthest / (side * voxel_m))
         # First voxels of the root cells, so that centres of every level follow from whole numbers.
-        first = side * (torch.arange(count) - count // 2)
+        first = side * torch.arange(count) - side * count // 2
         cube = torch.stack(torch.meshgrid(first, first, first, indexing="ij"), dim=-1).view(1, 1, -1, 3)
         self.register_buffer("roots", cube.float(), persistent=False)
         self.register_buffer("octants", _lattice(0, 1), persistent=False)
         self.register_buffer("window", _lattice(-WINDOW, WINDOW), persistent=False)
 
     def forward(
-        self, points: Tensor, part_logits: Tensor, radii: Tensor, center_camera: Tensor
+        self, points: Tensor, part_logits: Tensor, radii: Tensor, center_camera: Tensor, num_distinct: Tensor
     ) -> tuple[Tensor, Tensor]:
         members = part_logits[0].argmax(dim=-1).unsqueeze(0) == torch.arange(self.num_parts).unsqueeze(1)
+        members = members & (torch.arange(points.shape[1]) < num_distinct).unsqueeze(0)
         # The first points of each part, which cover it evenly: those that are no members are taken last.
         order = torch.arange(points.shape[1], 0, -1).float()
         taken, index = (members.float() * order).topk(self.num_voters, dim=-1)
@@ -128,7 +130,7 @@ def scorer_graph(metadata: BundleMetadata, beam: int = BEAM) -> onnx.ModelProto:
     generator = torch.Generator().manual_seed(0)
     widths = (3, len(category.parts) + 1, category.num_keypoints)
     examples = [torch.rand(1, metadata.num_points, width, generator=generator) for width in widths]
-    examples.append(torch.rand(1, 3, generator=generator))
+    examples += [torch.rand(1, 3, generator=generator), torch.tensor([metadata.num_points])]
     graph = VoteGraph(category, metadata.num_points, metadata.voxel_m, beam).eval()
     return exported(graph, tuple(examples), INPUTS, OUTPUTS)
 
@@ -139,9 +141,10 @@ def with_scorer(bundle: onnx.ModelProto, metadata: BundleMetadata, beam: int = B
     model.CopyFrom(bundle)
     scorer = onnx.compose.add_prefix(scorer_graph(metadata, beam), _PREFIX)
     shared = {_PREFIX + name: name for name in (*INPUTS, *OUTPUTS)}
-    (center,) = (value for value in scorer.graph.input if value.name == _PREFIX + CENTER)
-    center.name = CENTER
-    model.graph.input.append(center)
+    for value in scorer.graph.input:
+        if value.name in (_PREFIX + CENTER, _PREFIX + DISTINCT):
+            value.name = shared[value.name]
+            model.graph.input.append(value)
     for node in scorer.graph.node:
         for names in (node.input, node.output):
             names[:] = [shared.get(name, name) for name in names]

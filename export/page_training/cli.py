@@ -172,6 +172,10 @@ def _keypoints(options: argparse.Namespace) -> None:
 
     if not 3 <= options.count <= MAX_COUNT:
         raise ValueError(f"--count: expected 3 to {MAX_COUNT}, got {options.count}")
+    if options.instances < 1 or options.steps < 1:
+        raise ValueError(f"--instances, --steps: expected at least 1, got {options.instances} and {options.steps}")
+    if options.picture is not None and (options.picture.suffix != ".png" or not options.picture.parent.is_dir()):
+        raise ValueError(f"--picture: expected a .png file in a folder that exists, got {options.picture}")
     config = EstimatorConfig(keypoints=options.count, steps=options.steps, instances=options.instances)
     clouds = part_clouds(options.category, np.random.default_rng(config.seed), config.instances, config.points)
     methods: dict[str, list[np.ndarray]] = {}

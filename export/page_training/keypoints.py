@@ -1,4 +1,4 @@
-"""Where the keypoints of a part are: by rule for now; the KP-Estimator will fill the same (n,3) array.
+"""Where the keypoints of a part are: by rule. `page-train keypoints` compares them with learned ones.
 
 A trial (METHOD 9) found off-surface keypoints at 0.3 to 0.35 of the part's size best for plate-like parts: keypoints
 on the surface or in the plate's plane double the rotation error, far ones dilute it.

@@ -25,7 +25,11 @@ class Workers:
         return self.rank == 0
 
     def rows(self, records: NDArray[Any]) -> NDArray[Any]:
-        """Its own of a batch's records; all workers' have the same number, so a mean of means is the mean."""
+        """Its own of a batch's records, as many as each other worker's.
+
+        A loss weighs alike the parts that are seen in its own rows, so the mean over workers differs a little from the
+        loss of all rows at once.
+        """
         return records[self.rank :: self.count]
 
     def joined(self, network: nn.Module) -> nn.Module:

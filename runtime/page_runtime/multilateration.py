@@ -173,7 +173,8 @@ def refine_positions(
 def settle_positions(
     positions: FloatArray, anchors: Anchors, radii_m: FloatArray, gate_m: float, floor_m: float
 ) -> FloatArray:
-    """As `refine_positions` from close by, at the scale that the residuals within the gate have themselves."""
+    """As `refine_positions` from close by, at the scale that the residuals within the gate have themselves; four steps,
+    each at most a third of the gate: voters too few or too alike leave directions in which nothing else holds it."""
     current = positions - anchors.origin
     scales_m = None
     for round_ in range(4):

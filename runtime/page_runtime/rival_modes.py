@@ -60,9 +60,13 @@ def rival_voxels(
     most = np.array([found.votes for found in founds])
     # A candidate may have diverged; 2^40 voxels is far from any, yet exact in int64 and float64.
     voxels = np.rint(np.clip(candidates / shells.voxel_m, -(2.0**40), 2.0**40)).astype(np.int64)
-    owner, place = np.nonzero(_apart(np.concatenate((best[:, None], voxels), axis=1))[:, 1:])
+    apart = _apart(np.concatenate((best[:, None], voxels), axis=1))[:, 1:]
+    # What is farther off than any radius reaches has no votes, and would cost the others digits.
+    near = np.abs(voxels - shells.origin.T[:, None]).max(axis=2) * shells.voxel_m <= _farthest_m(shells)[:, None]
+    owner, place = np.nonzero(apart & near)
     voxels = voxels[owner, place] - shells.origin.T[owner]
-    reach_m = np.full(len(founds), shells.voxel_m * (np.linalg.norm(voxels, axis=1).max(initial=0.0) + 2.0))
+    reach_m = np.zeros(len(founds))
+    np.maximum.at(reach_m, owner, shells.voxel_m * (np.linalg.norm(voxels, axis=1) + 2.0))
     certain = bands(shells, 0.0, reach_m, at_least=False)
     required = np.ceil(rival_share * most - 1e-9)  # the small term keeps 0.95 * 100 from rounding up to 96
     promising = _counted(shells, certain, voxels, owner) >= _PROMISING * required[owner]
@@ -80,6 +84,13 @@ def rival_voxels(
         mine = mine[np.argsort(-votes[mine], kind="stable")]
         rivals.append((voxels[mine], votes[mine]))
     return rivals
+
+
+def _farthest_m(shells: Shells) -> FloatArray:
+    """(J,) m from its origin: no voxel beyond has a vote for the keypoint."""
+    outer = np.where(np.isfinite(shells.radii_m), shells.norm + shells.radii_m, 0.0)
+    outer += shells.rule.bounds_m(shells.voxel_m)[1]
+    return np.maximum.reduceat(outer, shells.starts[:-1])
 
 
 def _apart(voxels: IntArray) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ ties and the same first of the ties (C order of x, y, z), unless `gap` says that
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -121,7 +121,7 @@ def score_parts(
 
     parts: for each, points_camera (N, 3) m and radii_m (N, n) m, taken as float32; N and n may differ. voxel_m: rho.
     rule: which voxels get a vote. rival_share: modes with this share of the maximum are reported too, so that the
-    mirror image of a planar part's keypoint (METHOD 12) is seen; smaller costs more. max_evaluations: budget of
+    mirror image of a planar part's keypoint (METHOD 12) is seen. max_evaluations: budget of
     distance tests for each keypoint, beyond some 300 N for its seeds. max_seconds: budget of wall time for the call;
     the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or some 2^16
     cells at once do not suffice, the best voxel so far is returned with its gap; with max_seconds that may differ from
@@ -146,7 +146,7 @@ def score_parts(
         founds = search(shells, thinned.of_keypoints(seeds), max_evaluations, limit - after)
         modes = [Modes(found.voxels, np.full(len(found.voxels), found.votes)) for found in founds]
         if perf_counter() < limit - 0.75 * after:
-            modes = _with_rivals(shells, founds, modes, thinned, seeds, rival_share)
+            founds, modes = _with_rivals(shells, founds, thinned, seeds, rival_share)
         given = [(ballot.points, ballot.radii_m, ballot.num_points) for ballot in voting]
         peaks = peaks_of(modes, given, voxel_m, refine=perf_counter() < limit - 0.5 * after)
     remaining = zip(founds, peaks, strict=True)
@@ -245,12 +245,11 @@ def _seeds(thinned: _Thinned, voxel_m: float) -> FloatArray:
 def _with_rivals(
     shells: Shells,
     founds: Sequence[Found],
-    modes: Sequence[Modes],
     thinned: _Thinned,
     seeds: FloatArray,
     rival_share: float,
-) -> list[Modes]:
-    """The modes (J,) that hold the maxima alone, with their rivals behind them."""
+) -> tuple[list[Found], list[Modes]]:
+    """The maxima (J,) with their rivals behind them; where a search was cut short, a rival may be the new maximum."""
     best = iter([found.voxels[0] if len(found.voxels) else np.zeros(3) for found in founds])
     places = np.zeros((*thinned.radii_m.shape[:2], 3))
     for part, count in enumerate(thinned.counts):
@@ -259,10 +258,16 @@ def _with_rivals(
     eta_m = math.sqrt(3.0) * shells.voxel_m
     candidates = candidate_places(places, seeds, thinned.anchors, thinned.radii_m, eta_m)
     rivals = rival_voxels(shells, founds, thinned.of_keypoints(candidates), rival_share)
-    return [
-        Modes(np.concatenate((mode.voxels, voxels)), np.concatenate((mode.votes, votes)))
-        for mode, (voxels, votes) in zip(modes, rivals, strict=True)
-    ]
+    best, modes = [], []
+    for found, (voxels, votes) in zip(founds, rivals, strict=True):
+        most = max(found.votes, int(votes.max(initial=0)))
+        if most > found.votes:
+            found = replace(found, voxels=np.unique(voxels[votes == most], axis=0), votes=most)
+            voxels, votes = voxels[votes < most], votes[votes < most]
+        best.append(found)
+        counts = np.concatenate((np.full(len(found.voxels), found.votes), votes))
+        modes.append(Modes(np.concatenate((found.voxels, voxels)), counts))
+    return best, modes
 
 
 def _filled(radii_m: Sequence[FloatArray]) -> FloatArray:

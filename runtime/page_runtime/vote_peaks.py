@@ -13,8 +13,9 @@ from page_runtime.vote_shells import IntArray
 MAX_PEAKS = 4
 
 _MAX_PICKS = 12
-# Among so many rivals a sample shows the modes as well.
+# Among so many ties a sample shows the modes as well.
 _MAX_RANKED = 4096
+_GATE_ETAS = 6.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,9 +29,9 @@ class Modes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Peak:
-    """One mode of the votes. position_camera: (3,) m, refined below the voxel on the inlier radii, or the voxel's where
-    that strays 10 eta from it or the time was spent; voxel_camera: (3,) m, the centre of the mode's best voxel; votes
-    of that voxel; share = votes / N (Eq. 17)."""
+    """One mode of the votes. position_camera: (3,) m, refined below the voxel on the inlier radii, at most 8 eta
+    from it, or the voxel's where that leads to another mode's place or the time was spent; voxel_camera: (3,) m, the centre of the
+    mode's best voxel; votes of that voxel; share = votes / N (Eq. 17)."""
 
     position_camera: FloatArray
     voxel_camera: FloatArray
@@ -81,10 +82,7 @@ def _settled(
         radii_m[part, rows, : len(given_m)] = np.minimum(given_m, UNUSABLE_RADIUS_M)
         where.append((part, rows))
         filled[part] = rows.stop
-    settled = multilateration.settle_positions(starts, anchors, radii_m, 6.0 * eta_m, 0.01 * eta_m)
-    # Voters too few or too alike leave directions in which the refinement is not held.
-    strayed = np.linalg.norm(settled - starts, axis=2) > 10.0 * eta_m
-    settled[strayed] = starts[strayed]
+    settled = multilateration.settle_positions(starts, anchors, radii_m, _GATE_ETAS * eta_m, 0.01 * eta_m)
     return [settled[at] for at in where]
 
 
@@ -105,7 +103,9 @@ def _distinct(
 
 def _picked(modes: Modes, voxel_m: float, separation_m: float) -> list[int]:
     """Rows of the voxels that represent their surroundings, best first."""
-    rows = multilateration.thinned(len(modes.votes), _MAX_RANKED)
+    num_ties = int(np.count_nonzero(modes.votes == modes.votes.max(initial=0)))
+    ties = multilateration.thinned(num_ties, _MAX_RANKED)
+    rows = np.concatenate((ties, np.arange(num_ties, len(modes.votes))))
     return rows[_spread_rows(np.multiply(modes.voxels[rows], voxel_m, dtype=np.float64), separation_m)].tolist()
 
 

@@ -106,7 +106,7 @@ class Annotated:
 def read_annotated(path: Path, layout: Layout, on_frame: Callable[[], None] = lambda: None) -> Annotated:
     """The data set in folder `path`. SourceError where nothing of it can be read; a file that cannot is a problem."""
     folder = require_folder(path / layout.annotations, holding="annotation files")
-    models = _models(path / layout.models.format(folder=path.name), layout)
+    models = _models(path / layout.models.format(folder=path.resolve().name), layout)
     color = pictures(require_folder(path / layout.color, holding="colour pictures"))
     depth = pictures(require_folder(path / layout.depth, holding="depth pictures"))
     labels = (
@@ -220,7 +220,10 @@ def _link(entry: Any, *, where: str) -> Link:
     matrix = np.array([numbers(row, 4, where=f"{where}, transformation") for row in rows])
     state = entry.get("state")
     polygons = []
-    for polygon in entry.get("segmentation") or []:
+    for polygon in listed(entry.get("segmentation") or [], where=f"{where}, segmentation"):
         values = listed(polygon, where=f"{where}, segmentation")
-        polygons.append(np.reshape(numbers(values, len(values) // 2 * 2, where=f"{where}, segmentation"), (-1, 2)))
+        corners = np.reshape(numbers(values, len(values) // 2 * 2, where=f"{where}, segmentation"), (-1, 2))
+        # Two corners have no inside.
+        if len(corners) > 2:
+            polygons.append(corners)
     return Link(identity, matrix, None if state is None else number(state, where=f"{where}, state"), tuple(polygons))

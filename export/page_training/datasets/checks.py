@@ -33,6 +33,8 @@ def check_annotated(dataset: Annotated, on_frame: Callable[[], None] = lambda: N
         findings.append(
             Finding("warning", "layout", f"{dataset.layout.name}: this layout was never checked on real data; read on")
         )
+    if not any(instance.links for _, _, instance in _every_instance(dataset)):
+        return [*findings, Finding("error", "links", "not one link in any annotation: nothing more can be checked")]
     findings += [
         *_links(dataset),
         *_matrices(dataset),
@@ -73,6 +75,7 @@ def _links(dataset: Annotated) -> Iterator[Finding]:
 def _matrices(dataset: Annotated) -> Iterator[Finding]:
     """Are the matrices similarities, and what scale do they carry?"""
     scales: list[float] = []
+    uneven: list[str] = []
     for frame, i, instance in _every_instance(dataset):
         own: list[float] = []
         for link in instance.links:
@@ -92,10 +95,10 @@ def _matrices(dataset: Annotated) -> Iterator[Finding]:
                 return
             own.append(float(np.cbrt(determinant)))
         if own and max(own) / min(own) > 1 + UNIFORM:
-            yield Finding(
-                "warning", "matrices", f"the parts of one object have scales {np.round(own, 4)}", frame.place(i)
-            )
+            uneven.append(frame.place(i))
         scales += own
+    if uneven:
+        yield Finding("warning", "matrices", f"{len(uneven)} objects whose parts have different scales", uneven[0])
     low, high = min(scales), max(scales)
     if high > 1 + UNIFORM or low < 1 - UNIFORM:
         yield Finding(

@@ -33,6 +33,11 @@ def check_depth(dataset: Annotated, on_frame: Callable[[], None]) -> Iterator[Fi
         try:
             read_color(frame.color_path)
             raw = read_depth(frame.depth_path, metres_per_unit=1.0)
+            if raw.shape != (frame.camera.height, frame.camera.width):
+                raise SourceError(
+                    f"{frame.depth_path}: expected the {frame.camera.width}x{frame.camera.height} pixels of the colour "
+                    f"picture, got {raw.shape[1]}x{raw.shape[0]}; register depth to colour first"
+                )
             for i, instance in enumerate(frame.instances):
                 for name, share in _shares(dataset, frame, i, instance, raw):
                     inside.setdefault(name, []).append(share)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from page_runtime.capture.playback import open_source
-from page_runtime.capture.reartmix import FORMAT as REARTMIX
 from page_runtime.geometry import apply, invert
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import FrameEntry, Instance, Source
@@ -26,9 +25,10 @@ def examine(path: Path, layout: str | None = None, on_frame: Callable[[], None] 
     """Findings of the data set at `path`, by a layout (see `layout.read_layout`) or, without one, as whatever
     `page-runtime` recognises: its own recordings, BOP, ReArtMix. SourceError where nothing of it can be read."""
     if layout is None:
-        source = open_source(path)
-        if source.format != REARTMIX:
-            return check_source(source, on_frame)
+        reartmix = read_layout("reartmix")
+        # By its files: reading it as a source would stop at the first fault.
+        if not ((path / reartmix.models).is_file() and (path / reartmix.annotations).is_dir()):
+            return check_source(open_source(path), on_frame)
         layout = "reartmix"
     return check_annotated(read_annotated(path, read_layout(layout)), on_frame)
 

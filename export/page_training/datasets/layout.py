@@ -98,6 +98,12 @@ def _checked(document: dict, where: str) -> Layout:
         number_for_float = kind == "float" and isinstance(value, int) and not isinstance(value, bool)
         if not isinstance(value, kinds[kind]) and not number_for_float:
             raise SourceError(f"layout {where}, {name}: expected {kind}, got {value!r}")
+    try:
+        document["models"].format(folder="")
+    except (KeyError, IndexError, ValueError) as error:
+        raise SourceError(
+            f"layout {where}, models: expected no placeholder but {{folder}}, got {document['models']!r}"
+        ) from error
     order = document["joint_order"]
     if sorted(str(name).removeprefix("-") for name in order) != list(AXES):
         raise SourceError(f"layout {where}, joint_order: expected x, y and z in some order, got {order}")
