@@ -29,7 +29,7 @@ class Modes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Peak:
-    """One mode of the votes. position_camera: (3,) m, refined below the voxel on the inlier radii, at most 8 eta from it,
+    """One mode of the votes. position_camera: (3,) m, refined below the voxel on the inlier radii, 8 eta at most,
     or the voxel's where that leads to another mode's place or the time was spent; voxel_camera: (3,) m, the centre of
     the mode's best voxel; votes of that voxel; share = votes / N (Eq. 17)."""
 
