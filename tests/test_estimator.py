@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from page_runtime import Network, open_source
-from page_runtime.estimator import pose_from_output, sample_for
+from page_runtime.estimator import estimate, pose_from_output, sample_for
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import NetworkOutput
 from page_runtime.pose import NotSeen, PartPose
 from page_runtime.sampling import RegionSample
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -101,3 +103,24 @@ def test_the_exact_answer_gives_the_exact_pose(answered: tuple[Network, RegionSa
     assert all(isinstance(part, PartPose) and part.vote_gap == 0 for part in pose.parts)
     assert pose.joints[0].disagreement is not None
     assert pose.joints[0].disagreement < 0.1
+
+
+def test_an_arm_close_to_the_camera_does_not_hide_the_object_behind_it() -> None:
+    """The shipped laptop on a frame of its demo, and the same frame with something grey before a side of it."""
+    network = Network(ROOT / "runtime/bundles/laptop.onnx", threads=1)
+    recorded = open_source(ROOT / "tests/data/laptop").entries[0].read()
+    frame, region = recorded.frame, recorded.instances[0].region
+    assert region is not None
+    free = estimate(network, frame, region)
+    x, y, w, h = region
+    arm = slice(y, y + h), slice(x + round(0.75 * w), x + w)
+    color, depth_m = frame.color.copy(), frame.depth_m.copy()
+    color[arm], depth_m[arm] = 128, 0.3
+    sample = sample_for(network.metadata, replace(frame, color=color, depth_m=depth_m), region)
+    assert isinstance(sample, RegionSample)
+    assert sample.other_depth_m is not None
+    hidden = estimate(network, replace(frame, color=color, depth_m=depth_m), region)
+    for one, other in zip(free.parts, hidden.parts, strict=True):
+        assert isinstance(one, PartPose)
+        assert isinstance(other, PartPose)
+        assert np.linalg.norm(one.T_camera_part[:3, 3] - other.T_camera_part[:3, 3]) < 0.05

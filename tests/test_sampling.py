@@ -73,6 +73,22 @@ def test_a_thin_object_before_a_far_wall_is_what_is_sampled() -> None:
     assert {2.5, 3.0} == set(sample.points_camera[:, 2].tolist())
 
 
+def test_of_two_things_the_other_one_can_be_asked_for() -> None:
+    depth = np.full((480, 640), 1.5)
+    depth[150:330, 340:440] = 0.5  # an arm before a part of the object
+    near = sampled(depth)
+    assert isinstance(near, RegionSample)
+    assert set(near.points_camera[:, 2].tolist()) == {0.5}
+    assert near.other_depth_m == 1.5
+    far = sampled(depth, depth_m=near.other_depth_m)
+    assert isinstance(far, RegionSample)
+    assert set(far.points_camera[:, 2].tolist()) == {1.5}
+    assert far.other_depth_m is None
+    alone = sampled(np.full((480, 640), 1.5))
+    assert isinstance(alone, RegionSample)
+    assert alone.other_depth_m is None
+
+
 def test_few_readings_are_repeated_in_order_and_counted() -> None:
     depth = np.zeros((480, 640))
     depth[230:240, 300:320] = 1.0

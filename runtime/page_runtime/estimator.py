@@ -46,17 +46,28 @@ def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedP
         return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
     output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
     watch.stage("network")
+    if sample.other_depth_m is not None and not _seen(members_of(output, sample.num_distinct)):
+        # What is nearer is not the object, but something before it.
+        behind = sample_for(metadata, frame, region, sample.other_depth_m)
+        watch.stage("sampling")
+        if isinstance(behind, RegionSample):
+            sample = behind
+            output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+            watch.stage("network")
     return pose_from_output(metadata, sample, output, watch)
 
 
-def sample_for(metadata: BundleMetadata, frame: RgbdFrame, region: Region) -> RegionSample | str:
-    """The points a bundle asks for, or why there are none."""
+def sample_for(
+    metadata: BundleMetadata, frame: RgbdFrame, region: Region, depth_m: float | None = None
+) -> RegionSample | str:
+    """The points a bundle asks for, or why there are none; depth_m as in `sample_region`."""
     return sample_region(
         frame,
         region,
         image_size=metadata.image_size,
         num_points=metadata.num_points,
         radius_m=metadata.category.region_radius_m,
+        depth_m=depth_m,
     )
 
 
@@ -128,6 +139,11 @@ def members_of(output: NetworkOutput, num_distinct: int) -> list[NDArray[np.intp
     return [np.flatnonzero(labels == index) for index in range(output.part_logits.shape[1] - 1)]
 
 
+def _seen(members: Sequence[NDArray[np.intp]]) -> list[int]:
+    """The parts with enough points."""
+    return [index for index, own in enumerate(members) if len(own) >= MIN_PART_POINTS]
+
+
 def votes_of(
     members: Sequence[NDArray[np.intp]],
     points_camera: NDArray[np.float32],
@@ -136,7 +152,7 @@ def votes_of(
 ) -> dict[int, tuple[KeypointVotes, ...]]:
     """The votes of every part with enough points, by its index; `members` are the points of each part."""
     num_voted = metadata.category.num_voted
-    seen = [index for index, own in enumerate(members) if len(own) >= MIN_PART_POINTS]
+    seen = _seen(members)
     # A prefix of the progressive order covers the part evenly.
     voters = [members[index][:MAX_VOTERS] for index in seen]
     votes = score_parts(

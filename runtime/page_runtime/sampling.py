@@ -33,7 +33,8 @@ class RegionSample:
     region evenly, so the coarser levels of the network are prefixes and no farthest-point search is needed.
     pixels: (N,2) float32 position of each point in the crop, px. center_camera: (3,) their mean. camera: the crop's.
     source_index: (N,) index of each point in the flattened depth image it came from. num_distinct: points before
-    repetition (fewer than N valid readings are repeated in order).
+    repetition (fewer than N valid readings are repeated in order). other_depth_m: of the thing that the region is about
+    if it is not about these points, None where depth shows but one.
     """
 
     image: NDArray[np.uint8]
@@ -43,6 +44,7 @@ class RegionSample:
     camera: Camera
     source_index: NDArray[np.int64]
     num_distinct: int
+    other_depth_m: float | None = None
 
 
 @lru_cache(maxsize=32)
@@ -106,14 +108,16 @@ def sample_region(
     num_points: int,
     radius_m: float,
     margin: float = REGION_MARGIN,
+    depth_m: float | None = None,
 ) -> RegionSample | str:
     """Sample `num_points` visible points of `region` (x, y, w, h px), or say why there are none.
 
     Depth is read, never interpolated: each point is a real reading at its own pixel. Readings farther than `radius_m`
     from the region's centre are background by distance: its central ray at the median depth of its central half, or,
     where that lies more than `radius_m` behind what fills NEAR_SHARE of the region, at the depth of this nearer thing:
-    a box around an open laptop seen from the side holds more wall than laptop. `margin` widens the region as
-    square_region says.
+    a box around an open laptop seen from the side holds more wall than laptop. The nearer thing may as well be an arm
+    before the object, so the sample has the depth decided against as `other_depth_m`, and `depth_m` asks for it.
+    `margin` widens the region as square_region says.
     """
     check_region(region, frame.camera.width, frame.camera.height)
     square = square_region(region, margin)
@@ -128,7 +132,9 @@ def sample_region(
     if len(found) < MIN_POINTS:
         return f"not seen: {len(found)} depth readings in the region, at least {MIN_POINTS} are needed"
     middle = np.array([x + (side - 1) / 2, y + (side - 1) / 2])
-    anchor_depth = _anchor_depth(depth, valid, found, radius_m)
+    central_depth, near_depth = _depths(depth, valid, found)
+    two = central_depth - near_depth > radius_m
+    anchor_depth = depth_m if depth_m is not None else near_depth if two else central_depth
     anchor = np.asarray(frame.camera.backproject(middle, np.asarray(anchor_depth)), np.float64)
     near = valid & (_squared_distances(frame.camera, u, v, depth, anchor) < radius_m**2)
     order = progressive_order(grid)
@@ -152,6 +158,7 @@ def sample_region(
         camera=frame.camera.cropped(x, y, side, side).resized(image_size, image_size),
         source_index=(v[rows] * frame.depth_m.shape[1] + u[columns]).astype(np.int64),
         num_distinct=len(first),
+        other_depth_m=central_depth if two and depth_m is None else None,
     )
 
 
@@ -166,17 +173,14 @@ def _readings(depth_m: NDArray[np.float32], u: NDArray[np.intp], v: NDArray[np.i
     return depth
 
 
-def _anchor_depth(
-    depth: NDArray[np.float32], valid: NDArray[np.bool_], found: NDArray[np.float32], radius_m: float
-) -> float:
-    """Metres to the thing a region is about, from its depth (grid,grid), where that is valid, and these readings."""
+def _depths(depth: NDArray[np.float32], valid: NDArray[np.bool_], found: NDArray[np.float32]) -> tuple[float, float]:
+    """Metres to the middle of a region and to what fills NEAR_SHARE of it, from its depth (grid,grid), where that is
+    valid, and these readings."""
     grid = len(depth)
     # Cells within a quarter of the grid of its middle.
     half = slice(grid // 4 + 1, -(-3 * grid // 4))
     central = depth[half, half][valid[half, half]]
-    central_depth = float(np.median(central if len(central) else found))
-    near_depth = float(np.quantile(found, NEAR_SHARE))
-    return near_depth if central_depth - near_depth > radius_m else central_depth
+    return float(np.median(central if len(central) else found)), float(np.quantile(found, NEAR_SHARE))
 
 
 def _squared_distances(
