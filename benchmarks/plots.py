@@ -83,7 +83,8 @@ def _peers(peers: dict[str, Any]) -> Any:
     place.set_yscale("log")
     place.set_ylabel("CPU ms per keypoint, one thread")
     place.set_xticks(
-        [x + 0.4 - 0.5 * width for x in range(len(names))], [name.removeprefix("peers ") for name in names]
+        [x + 0.4 - 0.5 * width for x in range(len(names))],
+        [name.removeprefix("peers ").replace(" mm", " mm\n") for name in names],
     )
     place.legend(fontsize=8)
     place.grid(axis="y", alpha=0.3)
