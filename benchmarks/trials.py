@@ -47,17 +47,9 @@ def score(part: SyntheticPart, voxel_m: float, **options: Any) -> tuple[Keypoint
     return score_keypoints(part.points_camera, part.radii_m[:, :NUM_VOTED], voxel_m=voxel_m, **options)
 
 
-def register(
-    part: SyntheticPart,
-    votes: tuple[KeypointVotes, ...],
-    *,
-    keypoints: int | None = None,
-    box: bool = True,
-    side_logits: FloatArray | None = None,
-    kappa_scale: float = 1.0,
-) -> Registration | Ambiguous | str:
-    """Pose by `page_runtime`, on the radii of the first `keypoints`; without `box`, one that holds every point."""
-    return register_part(observed(part, votes, keypoints, box, side_logits, kappa_scale))
+def register(part: SyntheticPart, votes: tuple[KeypointVotes, ...], **options: Any) -> Registration | Ambiguous | str:
+    """Pose by `page_runtime`; options as in `observed`."""
+    return register_part(observed(part, votes, **options))
 
 
 def observed(
@@ -68,7 +60,7 @@ def observed(
     side_logits: FloatArray | None = None,
     kappa_scale: float = 1.0,
 ) -> Observed:
-    """What `register` gives the registration."""
+    """What a registration is given: the radii of the first `keypoints`; without `box`, one that holds every point."""
     return Observed(
         part.points_camera,
         part.radii_m[:, :keypoints],

@@ -133,3 +133,14 @@ def test_a_recording_without_a_visible_object_is_said_and_nothing_written(
     assert main(["scorer", str(oracle_bundle), "-o", str(written), "--measure-on", str(blind)]) == 2
     assert "expected at least one region" in capsys.readouterr().err
     assert not written.exists()
+
+
+@pytest.mark.parametrize("option", ["--beam", "--threads"])
+def test_no_cells_and_no_threads_are_refused(
+    option: str, oracle_bundle: Path, toy_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = tmp_path / "with-scorer.onnx"
+    arguments = ["scorer", str(oracle_bundle), "-o", str(written), "--measure-on", str(toy_recording)]
+    assert main([*arguments, option, "0"]) == 2
+    assert "expected at least 1" in capsys.readouterr().err
+    assert not written.exists()

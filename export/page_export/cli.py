@@ -159,8 +159,11 @@ def _scorer(options: argparse.Namespace) -> int:
     from page_export.scorer_graph import BEAM, with_scorer
     from page_runtime.network import Network
 
+    beam = BEAM if options.beam is None else options.beam
+    if beam < 1 or options.threads < 1:
+        raise ValueError(f"--beam, --threads: expected at least 1, got {beam} and {options.threads}")
     bundle = Network(options.bundle, threads=options.threads)
-    model = with_scorer(onnx.load(options.bundle), bundle.metadata, options.beam or BEAM)
+    model = with_scorer(onnx.load(options.bundle), bundle.metadata, beam)
     graph = model.SerializeToString()
     cost = measure_scorer(bundle, graph, options.measure_on, threads=options.threads)
     print(f"{cost.keypoints} keypoints of {cost.regions} regions, {options.threads} threads of the CPU")
