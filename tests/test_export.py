@@ -40,7 +40,7 @@ def network() -> PageNetwork:
 @pytest.fixture(scope="module")
 def bundle(network: PageNetwork, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bundle") / "box.onnx"
-    write_bundle(graph_of(network), BOX, path, {"note": "untrained"})
+    write_bundle(graph_of(network), BOX, path, mirrored=True, provenance={"note": "untrained"})
     return path
 
 
@@ -88,7 +88,8 @@ def test_metadata_survives_the_round_trip(bundle: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (lambda d: d.update(version=99), "version 2, got 99"),
+        (lambda d: d.update(version=99), "version 3, got 99"),
+        (lambda d: d.update(mirrored="yes"), "mirrored: expected true or false, got 'yes'"),
         (lambda d: d.pop("voxel_m"), "missing .*voxel_m"),
         (lambda d: d.update(surprise=1), "not understood .*surprise"),
         (lambda d: d["parts"][0].pop("frame"), "part: missing .*frame"),

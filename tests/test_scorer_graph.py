@@ -32,7 +32,7 @@ def category() -> Category:
 
 @pytest.fixture(scope="module")
 def session(category: Category) -> ort.InferenceSession:
-    metadata = BundleMetadata(category, NUM_POINTS, 224, VOXEL_M, 18, {})
+    metadata = BundleMetadata(category, NUM_POINTS, 224, VOXEL_M, 18, False, {})
     return ort.InferenceSession(scorer_graph(metadata).SerializeToString(), providers=["CPUExecutionProvider"])
 
 

@@ -198,8 +198,9 @@ def save_bundle(
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     if metadata:
-        document = BundleMetadata(category, LEVELS[0], IMAGE_SIZE, 0.005, 18, {"recipe": "oracle of a test"}).to_json()
-        helper.set_model_props(model, {METADATA_KEY: document})
+        provenance = {"recipe": "oracle of a test"}
+        document = BundleMetadata(category, LEVELS[0], IMAGE_SIZE, 0.005, 18, False, provenance)
+        helper.set_model_props(model, {METADATA_KEY: document.to_json()})
     onnx.checker.check_model(model)
     path.write_bytes(model.SerializeToString())
     return path

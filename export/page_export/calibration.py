@@ -137,7 +137,7 @@ def calibration_error(bins: list[ReliabilityBin]) -> float:
     return sum(b.count * abs(b.confidence - b.right) for b in bins) / sum(b.count for b in bins)
 
 
-def write_confidence(bundle: Path, metadata: BundleMetadata, model: ConfidenceModel) -> None:
+def write_confidence(bundle: Path, metadata: BundleMetadata, model: ConfidenceModel | None) -> None:
     """Put the model into the bundle file, whole or not at all."""
     graph = onnx.load(bundle)
     entry = next(entry for entry in graph.metadata_props if entry.key == METADATA_KEY)

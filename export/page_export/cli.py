@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import asdict
@@ -124,22 +125,25 @@ def _onnx(options: argparse.Namespace) -> int:
     from page_training.templates import with_templates
 
     state, category, network = _trained(options.checkpoint)
+    training = json.loads(state["config"])
+    mirrored = training["augmentation"]["flip_probability"] > 0.0
     provenance: dict[str, Any] = {
         "trained_on": "procedural scenes only",
         "commit": _commit(),
         "frames_seen": state["samples"],
-        "training": json.loads(state["config"]),
+        "training": training,
         "note": options.note,
     }
     category = with_templates(category)
     model = graph_of(network)
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.onnx"
-        write_bundle(model, category, trial, provenance)
+        write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
         parity = compare_on(Network(trial), network, options.compare_on)
     code = _report(parity)
     if code == 0:
-        write_bundle(model, category, options.output, provenance | {"parity": asdict(parity)})
+        provenance["parity"] = asdict(parity)
+        write_bundle(model, category, options.output, mirrored=mirrored, provenance=provenance)
         print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
     return code
 
@@ -204,16 +208,26 @@ def _calibrate(options: argparse.Namespace) -> int:
     from page_runtime.capture.playback import open_source
     from page_runtime.network import Network
 
-    network = Network(options.bundle)
-    collected = [
-        frame
-        for recording in options.on
-        for frame in track(
-            examples_from(network, recording), f"estimating {recording.name}", total=len(open_source(recording))
-        )
-    ]
+    metadata = Network(options.bundle).metadata
+    # Confidence decides which frames get a second opinion: the first round finds the confidence of first answers, the
+    # second that of what an estimate then is.
+    rounds = ("first answers", "with second opinions") if metadata.mirrored else ("estimating",)
+    model, collected = None, []
+    with TemporaryDirectory() as folder:
+        trial = Path(folder) / options.bundle.name
+        shutil.copyfile(options.bundle, trial)
+        for what in rounds:
+            write_confidence(trial, metadata, model)
+            network = Network(trial)
+            collected = [
+                frame
+                for recording in options.on
+                for frame in track(
+                    examples_from(network, recording), f"{recording.name}, {what}", total=len(open_source(recording))
+                )
+            ]
+            model = fitted(joined(collected))
     examples = joined(collected)
-    model = fitted(examples)
     bins = reliability(cross_fitted(examples), examples.right)
     print("confidence  parts  mean  right   (each part by a fit without its fifth of the frames)")
     for one in bins:
@@ -221,7 +235,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     print(
         f"{len(examples.right)} parts, {examples.right.mean():.3f} right, off by {calibration_error(bins):.3f} in mean"
     )
-    write_confidence(options.bundle, network.metadata, model)
+    write_confidence(options.bundle, metadata, model)
     return 0
 
 

@@ -104,14 +104,17 @@ def exported(
     return model
 
 
-def write_bundle(model: onnx.ModelProto, category: Category, path: Path, provenance: dict[str, Any]) -> None:
-    """Write model and metadata as one file, whole or not at all."""
+def write_bundle(
+    model: onnx.ModelProto, category: Category, path: Path, *, mirrored: bool, provenance: dict[str, Any]
+) -> None:
+    """Write model and metadata as one file, whole or not at all; mirrored as in `BundleMetadata`."""
     metadata = BundleMetadata(
         category=category,
         num_points=LEVELS[0],
         image_size=IMAGE_SIZE,
         voxel_m=VOXEL_M,
         opset=OPSET,
+        mirrored=mirrored,
         provenance=provenance,
     )
     del model.metadata_props[:]

@@ -15,7 +15,7 @@ from page_runtime.confidence import FEATURES, ConfidenceModel
 from page_runtime.template import template_document, template_from
 
 METADATA_KEY = "page.bundle"
-METADATA_VERSION = 2
+METADATA_VERSION = 3
 
 
 class BundleError(ValueError):
@@ -26,7 +26,8 @@ class BundleError(ValueError):
 class BundleMetadata:
     """What the runtime must know to feed the network and read its answer.
 
-    num_points, image_size: N and S of its inputs. voxel_m: rho of the scorer. opset: of the graph.
+    num_points, image_size: N and S of its inputs. voxel_m: rho of the scorer. opset: of the graph. mirrored: whether
+    the network was trained on mirror images too, and so may be asked about one (`mirror`).
     provenance: facts for people (commit, recipe, frames, figures); the runtime reads none. confidence: None until the
     bundle is calibrated.
     """
@@ -36,6 +37,7 @@ class BundleMetadata:
     image_size: int
     voxel_m: float
     opset: int
+    mirrored: bool
     provenance: dict[str, Any]
     confidence: ConfidenceModel | None = None
 
@@ -44,6 +46,11 @@ class BundleMetadata:
             raise ValueError(
                 f"expected positive num_points and image_size and 0 < voxel_m < 1, "
                 f"got {self.num_points}, {self.image_size} and {self.voxel_m}"
+            )
+        if self.mirrored and not self.category.joints_mirror:
+            raise ValueError(
+                f"mirrored: expected false, as the joints of {self.category.name!r} are not their own mirror image "
+                "(hinges along x, slides across it)"
             )
 
     def to_json(self) -> str:
@@ -55,6 +62,7 @@ class BundleMetadata:
             "image_size": self.image_size,
             "voxel_m": self.voxel_m,
             "opset": self.opset,
+            "mirrored": self.mirrored,
             "provenance": self.provenance,
             "confidence": None if self.confidence is None else _confidence_document(self.confidence),
         }
@@ -79,6 +87,7 @@ class BundleMetadata:
                 image_size=int(top["image_size"]),
                 voxel_m=float(top["voxel_m"]),
                 opset=int(top["opset"]),
+                mirrored=_yes_or_no(top, "mirrored"),
                 provenance=dict(top["provenance"]),
                 confidence=None if top["confidence"] is None else _confidence(top["confidence"]),
             )
@@ -132,7 +141,7 @@ def category_from(document: dict[str, Any]) -> Category:
 
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
-_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "provenance", "confidence"}
+_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "mirrored", "provenance", "confidence"}
 _PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m", "template"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
@@ -150,6 +159,12 @@ def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
 def _listed(entry: dict[str, Any], name: str) -> list[Any]:
     if not isinstance(entry[name], list):
         raise BundleError(f"bundle metadata, {name}: expected a list, got {type(entry[name]).__name__}")
+    return entry[name]
+
+
+def _yes_or_no(entry: dict[str, Any], name: str) -> bool:
+    if not isinstance(entry[name], bool):
+        raise ValueError(f"{name}: expected true or false, got {entry[name]!r}")
     return entry[name]
 
 

@@ -123,3 +123,14 @@ class Category:
     def num_keypoints(self) -> int:
         """Keypoints of every part, voted or not."""
         return len(self.parts[0].keypoints_unit)
+
+    @property
+    def joints_mirror(self) -> bool:
+        """Whether the joints of an object seen in a mirror, x of every part frame reversed, are those of the category
+        at the same states: hinges along x, slides across it."""
+        return all(
+            np.allclose(joint.axis[1:], 0.0)
+            if joint.kind == "revolute"
+            else joint.kind == "free" or joint.axis[0] == 0.0
+            for joint in self.joints
+        )
