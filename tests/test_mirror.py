@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.toy import CATEGORY, EXTENTS_M, KEYPOINTS_UNIT
 
 from page_runtime import Network, open_source
 from page_runtime.category import Joint
@@ -18,6 +17,7 @@ from page_runtime.network import NetworkOutput
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample
+from toy import CATEGORY, EXTENTS_M, KEYPOINTS_UNIT
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -1,5 +1,7 @@
 """Laws of proposal integration scoring: it is the dense accumulator, only sooner."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -129,10 +131,55 @@ def assert_bounds_hold(
         np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
 
 
-def test_a_hard_part_stays_within_the_default_budget() -> None:
+def test_a_hard_part_stays_within_a_budget_and_the_memory() -> None:
     rng = np.random.default_rng(3)
     extents_m = box_extents_m(rng)
     part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 1), sigma_m=0.05, outliers=0.7)
-    votes = score_keypoints(part.points_camera, part.radii_m, voxel_m=0.002)[0]
+    tracemalloc.start()
+    try:
+        votes = score_keypoints(part.points_camera, part.radii_m, voxel_m=0.002, max_evaluations=60_000_000)[0]
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
     assert votes.gap > 0
-    assert votes.evaluations <= 20_000_000 + 300 * len(part.points_camera)
+    assert votes.evaluations <= 60_000_000 + 300 * len(part.points_camera)
+    assert peak_bytes < 50e6
+
+
+@EACH_RULE
+@pytest.mark.parametrize("batch_cells", [1, 7, 50])
+def test_cells_that_go_on_in_batches_give_the_same_answer(
+    batch_cells: int, rule: RuleName, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("page_runtime.branch_and_bound._BATCH_CELLS", batch_cells)
+    for seed in range(3000, 3008):
+        points, radii, voxel_m = small_problem(seed)
+        votes = score_keypoints(points, radii[:, None], voxel_m=voxel_m, rule=RULES[rule])[0]
+        dense = dense_votes(points, radii, voxel_m, rule=rule)
+        assert votes.gap == 0
+        assert votes.max_votes == dense.max_votes
+        np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
+
+
+def test_too_many_ties_leave_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four points of a plateau: its voxels go on in batches, and the search ends with the ties it may keep."""
+    monkeypatch.setattr("page_runtime.branch_and_bound._BATCH_CELLS", 20)
+    monkeypatch.setattr("page_runtime.branch_and_bound._MAX_TIES", 10)
+    points = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0], [0.1, 0.1, 1.05]])
+    radii = np.linalg.norm(points - [0.3, 0.2, 0.9], axis=1)[:, None]
+    votes = score_keypoints(points, radii, voxel_m=0.01)[0]
+    assert votes.max_votes == 4
+    assert votes.gap > 0
+    monkeypatch.undo()
+    whole = score_keypoints(points, radii, voxel_m=0.01)[0]
+    assert whole.gap == 0
+    assert whole.ties > votes.ties
+    assert {tuple(tie) for tie in votes.ties_camera} <= {tuple(tie) for tie in whole.ties_camera}
+
+
+def test_small_voxels_are_certified_by_default() -> None:
+    rng = np.random.default_rng(5)
+    extents_m = box_extents_m(rng)
+    part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.005, outliers=0.15)
+    for votes in score_keypoints(part.points_camera, part.radii_m, voxel_m=0.002):
+        assert votes.gap == 0

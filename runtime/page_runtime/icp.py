@@ -23,6 +23,7 @@ from page_runtime import multilateration
 from page_runtime.geometry import require_rigid, transform_from
 from page_runtime.multilateration import FloatArray
 from page_runtime.similarity import Similarities
+from page_runtime.surface_pairs import Pairs, Placed, paired
 from page_runtime.template import Template
 
 _MIN_POINTS = 16
@@ -39,23 +40,14 @@ _STRETCH = 0.02
 # But as a share of a thickness no more than this, or a lid grows as thick as fits it.
 _MOST_STRETCH = 0.2
 
-# A sample is compared by distance and, so many times more, by distance from its plane: else every point by an edge may
-# choose the other face, whose samples stand further apart than the points are off.
-_NORMAL_WEIGHT = 15.0
 # Pairs further apart than this, in diagonals, are not of one surface.
 _GATE = 0.1
-# Sideways: the sine of an overshoot's direction out of its point's surface. Along the normal depth noise overshoots.
-_SIDEWAYS = 0.5
-
 _TRIM = 0.75
 # The 99 % quantile of chi-square with the ten degrees of freedom of pose, scale and stretch.
 _PLAUSIBLE = 23.2
 # Above this many sigmas of the sensor and this share of the diagonal, what remains is another shape.
 _FIT_SIGMAS = 3.0
 _FIT_UNIT = 0.01
-
-# As in scoring: 640 KB of float32 stay in the cache.
-_BLOCK = 160_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,12 +106,12 @@ def refine_to_template(
         return kept("the covariance of the pose is not positive definite")
 
     prior = Similarities(T_prior[None, :3, :3], T_prior[None, :3, 3], np.array([float(scale_m)]))
-    unknowns, placed, before_m = np.zeros(10), _Placed(prior, np.zeros(3)), np.inf
+    unknowns, placed, before_m = np.zeros(10), Placed(prior, np.zeros(3)), np.inf
     posterior = information
     gate_m = _GATE * scale_m
     for round_, count in enumerate(_ROUNDS):
         chosen = points[multilateration.thinned(len(points), count)]
-        pairs = _paired(chosen, placed, surface, gate_m)
+        pairs = paired(chosen, placed, surface, gate_m)
         if pairs is None or len(pairs.residuals) < _MIN_POINTS:
             return kept(f"under {_MIN_POINTS} points are near a side of the template that faces the camera", before_m)
         before_m = _trimmed_rms(pairs) if round_ == 0 else before_m
@@ -128,8 +120,8 @@ def refine_to_template(
         step = np.linalg.solve(posterior, gradient + information @ unknowns)
         unknowns = unknowns - step
         # Rotation vectors add up to second order in the angle; the prior keeps it to some degrees.
-        placed = _Placed(prior.moved(unknowns[None, :7]), unknowns[7:])
-    pairs = _paired(points[multilateration.thinned(len(points), _ROUNDS[0])], placed, surface, gate_m)
+        placed = Placed(prior.moved(unknowns[None, :7]), unknowns[7:])
+    pairs = paired(points[multilateration.thinned(len(points), _ROUNDS[0])], placed, surface, gate_m)
     after_m = np.inf if pairs is None or len(pairs.residuals) < _MIN_POINTS else _trimmed_rms(pairs)
 
     if not after_m < before_m:
@@ -180,35 +172,6 @@ def _checked(
     return points, given, template if extents_unit is None else template.stretched(extents_unit)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Placed:
-    """A pose and the log stretches (3,) of the template along its axes."""
-
-    pose: Similarities
-    stretch: FloatArray
-
-    @property
-    def size_m(self) -> FloatArray:
-        """(3,) metres a unit of the template, along its axes."""
-        return self.pose.s[0] * np.exp(self.stretch)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Pairs:
-    """Points and the planes they should lie in, in the part's axes, metres, origin the part's.
-
-    points, normals: (P,3). residuals: (P,) normal . point - offset of the plane. overshooting: (Q,) of the P rows and
-    axis: (Q,) along which they stand out of the box by overshoot (Q,), with its sign.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    residuals: FloatArray
-    overshooting: NDArray[np.intp]
-    axis: NDArray[np.intp]
-    overshoot: FloatArray
-
-
 def _prior_information(covariance: FloatArray, surface: Template) -> FloatArray | None:
     """(10,10) inverse covariance of pose, log scale and log stretches; None if there is none."""
     size = len(covariance)
@@ -222,52 +185,7 @@ def _prior_information(covariance: FloatArray, surface: Template) -> FloatArray 
     return information
 
 
-def _paired(points: FloatArray, placed: _Placed, surface: Template, gate_m: float) -> _Pairs | None:
-    """Each point within the gate with the plane of its sample; None if no sample faces the camera."""
-    R, t, size_m = placed.pose.R[0], placed.pose.t[0], placed.size_m
-    places, normals = surface.points_unit * size_m, surface.normals_unit / size_m
-    facing = np.flatnonzero(np.einsum("mk,mk->m", normals, places + t @ R) < 0.0)
-    if not len(facing):
-        return None
-    places, normals = places[facing], normals[facing]
-    normals /= np.sqrt(np.einsum("mk,mk->m", normals, normals))[:, None]
-    own = (points - t) @ R
-    nearest = _nearest(own, places, normals)
-    offsets, normals = own - places[nearest], normals[nearest]
-    near = np.einsum("nk,nk->n", offsets, offsets) <= gate_m * gate_m
-    own, offsets, normals = own[near], offsets[near], normals[near]
-    beyond = np.abs(own) - 0.5 * surface.extents_unit * size_m
-    rows, axis = np.nonzero((beyond > 0.0) & (np.abs(normals) < _SIDEWAYS))
-    overshoot = np.copysign(beyond[rows, axis], own[rows, axis])
-    return _Pairs(own, normals, np.einsum("nk,nk->n", normals, offsets), rows, axis, overshoot)
-
-
-def _nearest(points: FloatArray, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
-    """(N,) index of the sample least in |p - q|^2 + w (n . (p - q))^2, which is linear in the products of p with p.
-
-    One product of (N,10) and (10,M) matrices in blocks, in float32, whose rounding is below 0.1 mm for parts of 1 m.
-    """
-    depth = np.einsum("mk,mk->m", normals, places)
-    weighted = _NORMAL_WEIGHT * normals
-    features = np.empty((10, len(places)), np.float32)
-    features[0] = _NORMAL_WEIGHT * depth * depth + np.einsum("mk,mk->m", places, places)
-    features[1:4] = -2.0 * (places + weighted * depth[:, None]).T
-    features[4:7] = (weighted * normals).T
-    features[7:10] = 2.0 * (weighted * normals[:, [1, 2, 0]]).T
-    products = np.empty((len(points), 10), np.float32)
-    products[:, 0] = 1.0
-    products[:, 1:4] = points
-    products[:, 4:7] = points * points
-    products[:, 7:9] = points[:, :2] * points[:, 1:]
-    products[:, 9] = points[:, 2] * points[:, 0]
-    nearest = np.empty(len(points), np.intp)
-    step = max(_BLOCK // len(places), 1)
-    for start in range(0, len(points), step):
-        nearest[start : start + step] = (products[start : start + step] @ features).argmin(axis=1)
-    return nearest
-
-
-def _trimmed_rms(pairs: _Pairs) -> float:
+def _trimmed_rms(pairs: Pairs) -> float:
     """Root mean square, m, of the least _TRIM of the points' distances to the template."""
     squares = pairs.residuals**2
     np.add.at(squares, pairs.overshooting, pairs.overshoot**2)
@@ -276,7 +194,7 @@ def _trimmed_rms(pairs: _Pairs) -> float:
 
 
 def _normal_equations(
-    pairs: _Pairs, placed: _Placed, gate_m: float, sensor_sigma_m: float
+    pairs: Pairs, placed: Placed, gate_m: float, sensor_sigma_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """(10,10) and (10,) of both residuals, rotation and translation in camera axes.
 

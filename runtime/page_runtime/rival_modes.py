@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime import multilateration
-from page_runtime.branch_and_bound import WINDOW, Found
+from page_runtime.branch_and_bound import WINDOW
 from page_runtime.multilateration import Anchors, FloatArray
+from page_runtime.vote_race import Found
 from page_runtime.vote_shells import Float32Array, IntArray, Shells, bands, count, exact_count, lifted
 
 # A candidate nearer to the best voxel, or to one before it, is part of the same mode.

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime import multilateration
-from page_runtime.branch_and_bound import Found, search
+from page_runtime.branch_and_bound import search
 from page_runtime.multilateration import UNUSABLE_RADIUS_M, Anchors, FloatArray
 from page_runtime.rival_modes import candidate_places, rival_voxels
 from page_runtime.vote_peaks import MAX_PEAKS, Modes, Peak, peaks_of
+from page_runtime.vote_race import Found
 from page_runtime.vote_shells import ONE_SIDED, TWO_SIDED, Shells, VoteRule, shells_from
 
 __all__ = ["MAX_PEAKS", "MAX_RANGE_M", "ONE_SIDED", "TWO_SIDED", "KeypointVotes", "Peak", "VoteRule"]
@@ -90,7 +91,7 @@ def score_keypoints(
     voxel_m: float = 0.005,
     rule: VoteRule = TWO_SIDED,
     rival_share: float = 0.95,
-    max_evaluations: int = 20_000_000,
+    max_evaluations: int = 200_000_000,
     max_seconds: float | None = None,
 ) -> tuple[KeypointVotes, ...]:
     """Vote for the n keypoints of one part (Eq. 16-18), exactly, within a budget.
@@ -114,7 +115,7 @@ def score_parts(
     voxel_m: float = 0.005,
     rule: VoteRule = TWO_SIDED,
     rival_share: float = 0.95,
-    max_evaluations: int = 20_000_000,
+    max_evaluations: int = 200_000_000,
     max_seconds: float | None = None,
 ) -> tuple[tuple[KeypointVotes, ...], ...]:
     """`score_keypoints` of every part of a frame, sooner than one after the other.
@@ -122,10 +123,11 @@ def score_parts(
     parts: for each, points_camera (N, 3) m and radii_m (N, n) m, taken as float32; N and n may differ. voxel_m: rho.
     rule: which voxels get a vote. rival_share: modes with this share of the maximum are reported too, so that the
     mirror image of a planar part's keypoint (METHOD 12) is seen. max_evaluations: budget of
-    distance tests for each keypoint, beyond some 300 N for its seeds. max_seconds: budget of wall time for the call;
-    the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or some 2^16
-    cells at once do not suffice, the best voxel so far is returned with its gap; with max_seconds that may differ from
-    call to call.
+    distance tests for each keypoint, beyond some 300 N for its seeds; a thousandth of the default is what 512 points
+    need at 10 mm, all of it what they may need at 2 mm. max_seconds: budget of wall time for the call;
+    the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or more than
+    2^15 voxels share the most votes, the best voxel so far is returned with its gap; with max_seconds that may differ
+    from call to call.
 
     A point or radius that is not finite, is negative, or exceeds MAX_RANGE_M does not vote. Fewer than four voters, or
     voters on one line, leave a keypoint undetermined: no peaks, and the reason. Raises ValueError for wrong shapes or
@@ -179,7 +181,7 @@ def _check_parameters(voxel_m: float, rival_share: float, max_evaluations: int, 
     if not 0.0 < rival_share <= 1.0:
         raise ValueError(f"rival_share: expected a share in (0, 1], got {rival_share}; 0.95 lists mirror modes")
     if max_evaluations < 0:
-        raise ValueError(f"max_evaluations: expected >= 0, got {max_evaluations}; the default is 20 million")
+        raise ValueError(f"max_evaluations: expected >= 0, got {max_evaluations}; the default is 200 million")
     if max_seconds is not None and not max_seconds >= 0.0:
         raise ValueError(f"max_seconds: expected seconds >= 0 or None, got {max_seconds}; None is no limit")
 
