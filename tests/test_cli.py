@@ -15,7 +15,8 @@ import pytest
 import toy
 from page_runtime import open_source
 from page_runtime.bench import time_estimates
-from page_runtime.cli import main
+from page_runtime.cli import _parser, main
+from page_runtime.estimator import MAX_LOOKS
 from page_runtime.network import Network
 from page_runtime.recorded import Instance, RecordedFrame
 from page_runtime.recording import RecordingWriter
@@ -32,7 +33,7 @@ def test_run_writes_a_line_a_frame_with_the_pose_of_every_part(
     toy_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
     first, _, last = run_lines(toy_recording, oracle_bundle, tmp_path / "o.jsonl")
-    assert list(first) == ["frame", "timestamp_s", "parts", "joints", "stage_ms"]
+    assert list(first) == ["frame", "timestamp_s", "parts", "joints", "looks", "stage_ms"]
     assert (first["frame"], last["frame"]) == (0, 2)
     assert set(first["stage_ms"]) == STAGES
     for part, name, T_true, extents in zip(
@@ -202,3 +203,7 @@ def test_a_reader_that_has_enough_is_no_error(toy_recording: Path, oracle_bundle
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert len(result.stdout.splitlines()) == 1
     assert result.stderr == ""
+
+
+def test_the_command_line_takes_as_many_looks_as_the_library() -> None:
+    assert _parser().parse_args(["run", "R", "--bundle", "B"]).looks == MAX_LOOKS

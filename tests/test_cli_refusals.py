@@ -127,6 +127,7 @@ BAD_CALLS: dict[str, tuple[list[str], str]] = {
     "no command": ([], "COMMAND"),
     "an unknown command": (["estimate"], "estimate"),
     "fewer than no threads": (["run", "R", "--bundle", "B", "--threads", "-1"], "--threads"),
+    "no look at all": (["run", "R", "--bundle", "B", "--looks", "0"], "--looks: expected at least 1, got 0"),
     "an output in no folder": (["run", "R", "--bundle", "B", "--out", "{}/nowhere/o"], "no folder"),
     "an output that is a folder": (["run", "R", "--bundle", "B", "--out", "{}/empty"], "got the folder"),
     "pictures into a file": (["run", "R", "--bundle", "B", "--overlay", "{}/file"], "got the file"),

@@ -11,7 +11,7 @@ import pytest
 from page_runtime import Network, open_source
 from page_runtime.category import Joint
 from page_runtime.confidence import ConfidenceModel
-from page_runtime.estimator import estimate, pose_from_output, sample_for
+from page_runtime.estimator import LOOK_AGAIN_BELOW, MAX_LOOKS, estimate, pose_from_output, sample_for
 from page_runtime.mirror import MIRROR, mirrored_pose, mirrored_sample
 from page_runtime.network import NetworkOutput
 from page_runtime.pose import ArticulatedPose, PartPose
@@ -120,7 +120,7 @@ def test_the_covariance_is_that_of_the_mirrored_error() -> None:
     assert np.allclose(before.covariance, np.cov(turned.T), atol=0.15)
 
 
-def test_a_second_opinion_is_asked_only_of_the_unlikely_and_never_makes_less_likely() -> None:
+def test_the_unlikely_are_looked_at_again_and_never_become_less_likely() -> None:
     """The shipped box bundle on its demo, with its own confidence and with one that trusts nothing."""
     bundle = Network(ROOT / "runtime/bundles/box.onnx", threads=1)
     model = bundle.metadata.confidence
@@ -132,19 +132,37 @@ def test_a_second_opinion_is_asked_only_of_the_unlikely_and_never_makes_less_lik
         region = recorded.instances[0].region
         assert region is not None
         for confidence in (model, wary):
-            bundle.metadata = replace(bundle.metadata, confidence=confidence, mirrored=False)
-            first = estimate(bundle, recorded.frame, region)
-            bundle.metadata = replace(bundle.metadata, mirrored=True)
-            final = estimate(bundle, recorded.frame, region)
-            pairs = list(zip(first.parts, final.parts, strict=True))
-            assert all(isinstance(b, PartPose) for _, b in pairs)
-            before = [a.confidence if isinstance(a, PartPose) else 0.0 for a, _ in pairs]
-            after = [b.confidence for _, b in pairs if isinstance(b, PartPose)]
-            assert sum(after) >= sum(before) - 1e-9
-            if min(before) >= 0.5:
-                assert after == before
-            changed += after != before
+            bundle.metadata = replace(bundle.metadata, confidence=confidence)
+            poses = [estimate(bundle, recorded.frame, region, max_looks=looks) for looks in (1, 2, 3, 4)]
+            likely = [_confidences(pose) for pose in poses]
+            assert [pose.looks for pose in poses] == [min(pose.looks, n) for n, pose in enumerate(poses, 1)]
+            assert [sum(each) for each in likely] == sorted(sum(each) for each in likely)
+            if min(likely[0]) >= LOOK_AGAIN_BELOW:
+                assert poses[-1].looks == 1
+            if confidence is wary:
+                assert poses[-1].looks == MAX_LOOKS == 3
+            changed += likely[-1] != likely[0]
     assert changed > 0
+
+
+def _confidences(pose: ArticulatedPose) -> list[float]:
+    return [part.confidence if isinstance(part, PartPose) else 0.0 for part in pose.parts]
+
+
+@pytest.mark.parametrize("lacking", ["confidence", "mirrored"])
+def test_a_bundle_without_confidence_or_mirror_looks_once(lacking: str) -> None:
+    bundle = Network(ROOT / "runtime/bundles/box.onnx", threads=1)
+    model = bundle.metadata.confidence
+    assert model is not None
+    wary = ConfidenceModel(model.weights, model.offset - 12.0)
+    poor = (
+        {"confidence": None, "mirrored": True} if lacking == "confidence" else {"confidence": wary, "mirrored": False}
+    )
+    bundle.metadata = replace(bundle.metadata, **poor)
+    recorded = open_source(ROOT / "tests/data/box").entries[0].read()
+    region = recorded.instances[0].region
+    assert region is not None
+    assert estimate(bundle, recorded.frame, region).looks == 1
 
 
 def test_a_joint_that_is_not_its_own_mirror_image_is_refused(oracle_bundle: Path) -> None:

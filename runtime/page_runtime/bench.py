@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from page_runtime.estimator import estimate
+from page_runtime.estimator import MAX_LOOKS, estimate
 from page_runtime.network import Network
 from page_runtime.pose import ArticulatedPose
 from page_runtime.recorded import Source
@@ -28,10 +28,11 @@ PACKAGES = ("page-edge", "numpy", "onnxruntime", "opencv-python-headless")
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """One estimate: stage_ms by stage, total_ms measured around all of it."""
+    """One estimate: stage_ms by stage, total_ms measured around all of it, the looks it took."""
 
     stage_ms: dict[str, float]
     total_ms: float
+    looks: int = 1
 
 
 def time_estimates(
@@ -39,6 +40,7 @@ def time_estimates(
     source: Source,
     *,
     min_measurements: int = MIN_MEASUREMENTS,
+    max_looks: int = MAX_LOOKS,
     on_frame: Callable[[int], None] = lambda _: None,
 ) -> tuple[list[Timing], int]:
     """At least so many timings, or none if no estimate reaches the network, and how many estimates were left out.
@@ -53,13 +55,13 @@ def time_estimates(
     while len(timings) < min_measurements:
         for recorded in source:
             for region in (i.region for i in recorded.instances if i.region is not None):
-                while to_warm_up and _reached_network(estimate(network, recorded.frame, region)):
+                while to_warm_up and _reached_network(estimate(network, recorded.frame, region, max_looks=max_looks)):
                     to_warm_up -= 1
                 begin = perf_counter()
-                pose = estimate(network, recorded.frame, region)
+                pose = estimate(network, recorded.frame, region, max_looks=max_looks)
                 total_ms = (perf_counter() - begin) * 1e3
                 if _reached_network(pose):
-                    timings.append(Timing(pose.stage_ms, total_ms))
+                    timings.append(Timing(pose.stage_ms, total_ms, pose.looks))
                 else:
                     left_out += 1
             on_frame(passes * len(source))
@@ -80,6 +82,7 @@ def report(timings: list[Timing], *, threads: int) -> dict[str, Any]:
     return {
         "stages": {name: _percentiles([timing.stage_ms.get(name, 0.0) for timing in timings]) for name in names},
         "total": _percentiles([timing.total_ms for timing in timings]),
+        "mean_looks": round(float(np.mean([timing.looks for timing in timings])), 3),
         "peak_rss_mb": peak_rss_mb(),
         "threads": threads,
         "versions": versions(),

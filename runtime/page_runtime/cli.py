@@ -89,8 +89,10 @@ def _parser() -> argparse.ArgumentParser:
     def common(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--bundle", metavar="B", type=Path, required=True, help="the category's .onnx file")
         sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
+        sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
 
+    looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
     run = command("run", "write one JSON line for every object in every frame", "source", "a folder of RGB-D frames")
     region_help = "where the object is, px (--region=-5,3,10,10 for a minus first); default: where the source says"

@@ -22,7 +22,7 @@ from page_runtime.neighbours import Neighbours, find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
 from page_runtime.registration import Ambiguous, Observed, Registration, register_parts
-from page_runtime.sampling import Region, RegionSample, sample_region
+from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
 from page_runtime.scoring import KeypointVotes, score_parts
 from page_runtime.template import Template
 from page_runtime.uncertainty import with_common_error
@@ -31,43 +31,55 @@ MIN_PART_POINTS = 24
 MAX_VOTERS = 512
 # Of a frame: two to three times what the votes of 2048 points need; a bound where radii agree on nothing.
 MAX_EVALUATIONS = 40_000_000
-# A second opinion for all frames gains no more than for those below this, which are one in six (validation frames).
-MIRROR_BELOW = 0.5
+# One frame in six has a part below this (validation frames); looking again at the others gained nothing.
+LOOK_AGAIN_BELOW = 0.5
+# How the region is cut out for the second look and the third: none of mirror, tighter and wider crop alone errs as
+# differently as mirror and crop together, and a fourth look gained nothing.
+OTHER_MARGINS = (0.0, 0.25)
+MAX_LOOKS = 1 + len(OTHER_MARGINS)
 STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
 
 
-def estimate(network: Network, frame: RgbdFrame, region: Region) -> ArticulatedPose:
+def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> ArticulatedPose:
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
-    A part without a pose comes with the reason. Where a pose is unlikely to be right, the mirror image is asked as well
-    (`mirror`) and the likelier of the two answers taken; such a frame takes twice its time. Raises ValueError for a
-    region that lies outside the image.
+    A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
+    mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
+    time of the first, so 1 is for loops whose time must not vary. Raises ValueError for a region outside the image.
     """
     metadata = network.metadata
     watch = Stopwatch()
-    sample = sample_for(metadata, frame, region)
+    sample, depth_m = sample_for(metadata, frame, region), None
     watch.stage("sampling")
     if isinstance(sample, str):
         return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
-    neighbours = _neighbours(sample)
-    output = network.run(sample, neighbours)
+    output = network.run(sample, _neighbours(sample))
     watch.stage("network")
     if sample.other_depth_m is not None and not _seen(members_of(output, sample.num_distinct)):
         # What is nearer is not the object, but something before it.
-        behind = sample_for(metadata, frame, region, sample.other_depth_m)
+        behind = sample_for(metadata, frame, region, depth_m=sample.other_depth_m)
         watch.stage("sampling")
         if isinstance(behind, RegionSample):
-            sample, neighbours = behind, _neighbours(behind)
-            output = network.run(sample, neighbours)
+            sample, depth_m = behind, sample.other_depth_m
+            output = network.run(sample, _neighbours(sample))
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch)
-    if not (metadata.mirrored and metadata.confidence is not None and _unlikely(pose)):
+    if not metadata.mirrored or metadata.confidence is None:
         return pose
-    mirrored = mirrored_sample(sample)
-    output = network.run(mirrored, neighbours)
-    watch.stage("network")
-    other = mirrored_pose(pose_from_output(metadata, mirrored, output, watch), metadata.category)
-    return max(pose, other, key=_mean_confidence)
+    looks = 1
+    for margin in OTHER_MARGINS[: max_looks - 1]:
+        if not _unlikely(pose):
+            break
+        again = sample_for(metadata, frame, region, margin=margin, depth_m=depth_m)
+        watch.stage("sampling")
+        if isinstance(again, RegionSample):
+            again = mirrored_sample(again)
+            output = network.run(again, _neighbours(again))
+            watch.stage("network")
+            other = mirrored_pose(pose_from_output(metadata, again, output, watch), metadata.category)
+            pose = max(pose, other, key=_mean_confidence)
+            looks += 1
+    return replace(pose, looks=looks)
 
 
 def _neighbours(sample: RegionSample) -> Neighbours:
@@ -75,8 +87,8 @@ def _neighbours(sample: RegionSample) -> Neighbours:
 
 
 def _unlikely(pose: ArticulatedPose) -> bool:
-    """Whether a part's pose is less likely right than MIRROR_BELOW, and so worth a second opinion."""
-    return any(isinstance(part, PartPose) and part.confidence < MIRROR_BELOW for part in pose.parts)
+    """Whether a part's pose is less likely right than LOOK_AGAIN_BELOW."""
+    return any(isinstance(part, PartPose) and part.confidence < LOOK_AGAIN_BELOW for part in pose.parts)
 
 
 def _mean_confidence(pose: ArticulatedPose) -> float:
@@ -84,15 +96,21 @@ def _mean_confidence(pose: ArticulatedPose) -> float:
 
 
 def sample_for(
-    metadata: BundleMetadata, frame: RgbdFrame, region: Region, depth_m: float | None = None
+    metadata: BundleMetadata,
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    margin: float = REGION_MARGIN,
+    depth_m: float | None = None,
 ) -> RegionSample | str:
-    """The points a bundle asks for, or why there are none; depth_m as in `sample_region`."""
+    """The points a bundle asks for, or why there are none; margin and depth_m as in `sample_region`."""
     return sample_region(
         frame,
         region,
         image_size=metadata.image_size,
         num_points=metadata.num_points,
         radius_m=metadata.category.region_radius_m,
+        margin=margin,
         depth_m=depth_m,
     )
 

@@ -70,11 +70,13 @@ class JointState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ArticulatedPose:
-    """All parts and joints of one object in one frame, in the category's order; stage_ms: wall time by stage."""
+    """All parts and joints of one object in one frame, in the category's order; stage_ms: wall time by stage, of all
+    looks together; looks: how many the estimate took (`estimator.estimate`), of which this is the likeliest answer."""
 
     parts: tuple[PartPose | NotSeen, ...]
     joints: tuple[JointState, ...]
     stage_ms: dict[str, float]
+    looks: int = 1
 
 
 def not_seen(category: Category, reason: str) -> ArticulatedPose:

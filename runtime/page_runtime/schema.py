@@ -17,6 +17,7 @@ def pose_record(
         record["instance"] = instance
     record["parts"] = [_part_record(part) for part in pose.parts]
     record["joints"] = [_joint_record(joint) for joint in pose.joints]
+    record["looks"] = pose.looks
     record["stage_ms"] = {name: round(value, 3) for name, value in pose.stage_ms.items()}
     return record
 

@@ -13,12 +13,12 @@ from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
 
 
-def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, quiet: bool) -> None:
+def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, looks: int, quiet: bool) -> None:
     """Time every frame of `recording`; write the figures to `json` and a table to standard output."""
-    inputs = open_inputs(recording, bundle, threads=threads)
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks)
     require_file_place(json, option="--json")
     with Progress("bench", len(inputs.source), quiet=quiet) as progress:
-        timings, left_out = time_estimates(inputs.network, inputs.source, on_frame=progress.advance)
+        timings, left_out = time_estimates(inputs.network, inputs.source, max_looks=looks, on_frame=progress.advance)
     if not timings:
         raise UsageError(f"{recording}: no frame has enough depth in its region to run the network; nothing to time")
     document = report(timings, threads=inputs.threads)
@@ -48,6 +48,7 @@ def readable(document: dict[str, Any]) -> str:
     return (
         f"{title}\n"
         f"{table(('ms', *percentiles, 'paper'), rows)}"
+        f"{number(document['mean_looks'], 2)} looks a frame in the mean\n"
         f"peak resident memory {number(document['peak_rss_mb'], 0)} MB\n"
         f"{document['threads']} threads, {document['cpu']}\n"
         f"{versions}\n"

@@ -22,18 +22,22 @@ NO_REGION = "not seen: nothing says where the object is in this frame; pass --re
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Inputs:
-    """A loaded bundle and an opened source that go together; threads: what onnxruntime and OpenCV were given."""
+    """A loaded bundle and an opened source that go together; threads: what onnxruntime and OpenCV were given; looks: at
+    most so many at a frame."""
 
     network: Network
     source: Source
     threads: int
+    looks: int
 
 
-def open_inputs(source: Path, bundle: Path, *, threads: int, region: Region | None = None) -> Inputs:
+def open_inputs(source: Path, bundle: Path, *, threads: int, looks: int, region: Region | None = None) -> Inputs:
     """Load and open; threads 0: one for each processor; `region` takes the place of all the source's own.
 
     Errors say what does not fit.
     """
+    if looks < 1:
+        raise UsageError(f"--looks: expected at least 1, got {looks}")
     threads = threads or available_threads()
     cv2.setNumThreads(threads)
     network = Network(bundle, threads=threads)
@@ -49,7 +53,7 @@ def open_inputs(source: Path, bundle: Path, *, threads: int, region: Region | No
         opened = _with_region(opened, region)
     if not opened.has_regions:
         raise UsageError(f"{source}: this {opened.format} does not say where the object is; pass --region x,y,w,h")
-    return Inputs(network, opened, threads)
+    return Inputs(network, opened, threads, looks)
 
 
 def available_threads() -> int:
@@ -73,10 +77,10 @@ def estimates(inputs: Inputs) -> Iterator[Estimates]:
     """Every frame with the estimate of each of its objects; a frame without a region gets one that is all reasons."""
     for recorded in inputs.source:
         instances = recorded.instances or (Instance(None),)
-        yield recorded, tuple((instance, _estimate(inputs.network, recorded, instance)) for instance in instances)
+        yield recorded, tuple((instance, _estimate(inputs, recorded, instance)) for instance in instances)
 
 
-def _estimate(network: Network, recorded: RecordedFrame, instance: Instance) -> ArticulatedPose:
+def _estimate(inputs: Inputs, recorded: RecordedFrame, instance: Instance) -> ArticulatedPose:
     if instance.region is None:
-        return not_seen(network.metadata.category, NO_REGION)
-    return estimate(network, recorded.frame, instance.region)
+        return not_seen(inputs.network.metadata.category, NO_REGION)
+    return estimate(inputs.network, recorded.frame, instance.region, max_looks=inputs.looks)

@@ -20,10 +20,11 @@ def run(
     out: Path | None,
     overlay: Path | None,
     threads: int,
+    looks: int,
     quiet: bool,
 ) -> None:
     """Estimate every frame of `source` and write the lines to `out` (None: standard output)."""
-    inputs = open_inputs(source, bundle, threads=threads, region=region)
+    inputs = open_inputs(source, bundle, threads=threads, looks=looks, region=region)
     require_file_place(out, option="--out")
     require_folder_place(overlay, option="--overlay")
     several = any(len(entry.instances) > 1 for entry in inputs.source.entries)

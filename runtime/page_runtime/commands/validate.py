@@ -21,10 +21,10 @@ UNITS = ("", "", "", "deg", "deg", "mm", "mm", "%", "", "", "%", "%", "%")
 
 
 def validate(
-    recording: Path, *, bundle: Path, json: Path | None, overlay: Path | None, threads: int, quiet: bool
+    recording: Path, *, bundle: Path, json: Path | None, overlay: Path | None, threads: int, looks: int, quiet: bool
 ) -> None:
     """Estimate every object with truth; write the figures to `json` and a table to standard output."""
-    inputs = open_inputs(recording, bundle, threads=threads)
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks)
     if not inputs.source.has_truth:
         raise UsageError(f"{recording}: this {inputs.source.format} has no true poses to compare with")
     require_file_place(json, option="--json")
