@@ -17,12 +17,12 @@ from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
+from page_training.config import VOXEL_M
 from page_training.layers import Convolution
 from page_training.network import NetworkInputs, PageNetwork
 from page_training.records import IMAGE_SIZE
 
 OPSET = 18
-VOXEL_M = 0.005
 
 
 class RuntimeSignature(nn.Module):

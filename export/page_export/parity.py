@@ -11,12 +11,12 @@ import torch
 from page_runtime.capture.playback import open_source
 from page_runtime.estimator import pose_from_output, sample_for
 from page_runtime.evaluation import rotation_error, translation_error
-from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network, NetworkOutput
+from page_runtime.neighbours import find_neighbours
+from page_runtime.network import OUTPUT_NAMES, Network, NetworkOutput
 from page_runtime.pose import PartPose
 from page_runtime.recorded import Source
-from page_runtime.sampling import RegionSample
-from page_training.network import NetworkInputs, PageNetwork
+from page_training.evaluate import torch_inputs
+from page_training.network import PageNetwork
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,6 @@ class Parity:
     rotation_deg: float
     translation_mm: float
     disagreements: int
-
-
-def torch_inputs(network: Network, sample: RegionSample, neighbours: Neighbours) -> NetworkInputs:
-    """The same arrays the runtime feeds, as tensors."""
-    feeds = network.feeds(sample, neighbours)
-    return NetworkInputs(*(torch.from_numpy(np.ascontiguousarray(feeds[name])) for name in INPUT_NAMES))
 
 
 def compare(bundle: Network, network: PageNetwork, source: Source, limit: int = 50) -> Parity:
@@ -57,7 +51,7 @@ def compare(bundle: Network, network: PageNetwork, source: Source, limit: int = 
         samples += 1
         neighbours = find_neighbours(sample.points_camera - sample.center_camera)
         with torch.no_grad():
-            outputs = network(torch_inputs(bundle, sample, neighbours))
+            outputs = network(torch_inputs(metadata, sample, neighbours))
         graph = bundle.run_raw(sample, neighbours)
         reference = tuple(getattr(outputs, name).numpy() for name in OUTPUT_NAMES)
         for name, ours, theirs in zip(OUTPUT_NAMES, graph, reference, strict=True):

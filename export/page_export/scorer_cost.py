@@ -13,7 +13,7 @@ from page_export.scorer_graph import CENTER, DISTINCT, OUTPUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.estimator import members_of, sample_for, votes_of
 from page_runtime.neighbours import find_neighbours
-from page_runtime.network import Network, NetworkOutput
+from page_runtime.network import Network, NetworkOutput, feeds
 
 _WARM_UP = 2
 
@@ -52,9 +52,9 @@ def measure_scorer(bundle: Network, graph: bytes, recording: Path, *, threads: i
         sample = None if region is None else sample_for(metadata, frame, region)
         if sample is None or isinstance(sample, str):
             continue
-        feeds = bundle.feeds(sample, find_neighbours(sample.points_camera - sample.center_camera))
+        given = feeds(metadata, sample, find_neighbours(sample.points_camera - sample.center_camera))
         began = perf_counter()
-        values = tuple(np.asarray(value, np.float32) for value in bundle.session.run(None, feeds))
+        values = tuple(np.asarray(value, np.float32) for value in bundle.session.run(None, given))
         network_done = perf_counter()
         output = NetworkOutput.from_graph(values, metadata.category.region_radius_m)
         members = members_of(output, sample.num_distinct)
@@ -62,7 +62,7 @@ def measure_scorer(bundle: Network, graph: bytes, recording: Path, *, threads: i
         numpy_done = perf_counter()
         center = np.asarray(sample.center_camera, np.float32)[None]
         further = {CENTER: center, DISTINCT: np.array([sample.num_distinct], np.int64)}
-        places, counts = (np.asarray(value)[0] for value in session.run(list(OUTPUTS), feeds | further))
+        places, counts = (np.asarray(value)[0] for value in session.run(list(OUTPUTS), given | further))
         graph_done = perf_counter()
         times.append((network_done - began, numpy_done - network_done, graph_done - numpy_done))
         for part, own in votes.items():

@@ -9,17 +9,30 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.category import Category
+from page_runtime.geometry import Array
 from page_runtime.neighbours import LEVELS, find_neighbours
 from page_runtime.sampling import RegionSample, sample_region
 from page_training.records import IMAGE_SIZE, NEIGHBOUR_TABLES, SHARD_SIZE, SPLITS, record_type, shard_path
-from page_training.scenes import SceneView, sample_scene, training_view
+from page_training.scenes import sample_scene, training_view
+
+
+class Truth(Protocol):
+    """What a record keeps of a part's truth, of a scene's view or of a recording."""
+
+    @property
+    def T_camera_part(self) -> Array: ...
+    @property
+    def extents_m(self) -> Array: ...
+    @property
+    def visible_share(self) -> float | None: ...
 
 
 def shard_generator(category: str, split: str, shard: int) -> np.random.Generator:
@@ -27,23 +40,31 @@ def shard_generator(category: str, split: str, shard: int) -> np.random.Generato
     return np.random.default_rng([zlib.crc32(category.encode()), SPLITS.index(split), shard])
 
 
-def fill_record(record: Any, view: SceneView, sample: RegionSample, num_parts: int) -> None:
-    """Write one view and its sampled points into a record of `record_type`."""
-    index = sample.source_index
-    label = view.part_mask.ravel()[index].astype(np.int64) - 1
+def fill_record(
+    record: Any,
+    sample: RegionSample,
+    *,
+    labels: NDArray[np.int64],
+    normals_camera: NDArray[np.float32],
+    truths: Sequence[Truth],
+) -> None:
+    """Write the sampled points of a view into a record of `record_type`.
+
+    labels: (N,) part of each point, the number of parts for background. normals_camera: (H,W,3) of the view.
+    """
     record["image"] = sample.image
     record["points"] = sample.points_camera - sample.center_camera
     record["pixels"] = sample.pixels
-    record["normals"] = np.round(view.normals_camera.reshape(-1, 3)[index] * 127)
-    record["labels"] = np.where(label < 0, num_parts, label)
+    record["normals"] = np.round(normals_camera.reshape(-1, 3)[sample.source_index] * 127)
+    record["labels"] = labels
     neighbours = find_neighbours(record["points"])
     for name in NEIGHBOUR_TABLES:
         record[name] = getattr(neighbours, name)
-    for k, truth in enumerate(view.truths):
+    for k, truth in enumerate(truths):
         record["T_center_part"][k] = truth.T_camera_part
         record["T_center_part"][k, :3, 3] -= sample.center_camera
         record["extents_m"][k] = truth.extents_m
-        record["visible_share"][k] = truth.visible_share
+        record["visible_share"][k] = 1.0 if truth.visible_share is None else truth.visible_share
 
 
 def make_shard(category: Category, split: str, shard: int, path: Path, size: int = SHARD_SIZE) -> None:
@@ -63,8 +84,15 @@ def make_shard(category: Category, split: str, shard: int, path: Path, size: int
         )
         if isinstance(sample, str):
             continue
-        fill_record(records[filled], view, sample, len(category.parts))
+        labels = view.part_mask.ravel()[sample.source_index].astype(np.int64) - 1
+        labels[labels < 0] = len(category.parts)
+        fill_record(records[filled], sample, labels=labels, normals_camera=view.normals_camera, truths=view.truths)
         filled += 1
+    write_shard(path, records)
+
+
+def write_shard(path: Path, records: NDArray[Any]) -> None:
+    """Write records as a shard, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(f".{os.getpid()}.partial")
     with partial.open("wb") as file:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from page_training import dataset_commands
 from page_training.categories import CATEGORIES, category_named
 from page_training.config import TrainingConfig
 from page_training.records import SHARD_SIZE, SPLITS
+from page_training.terminal import progress_bar, say
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from page_training.train import Report
 
 MAX_COUNT = 7
@@ -69,6 +69,12 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument(
         "--from", type=Path, dest="start_from", help="begin a new run with the network of this checkpoint"
     )
+    pose.add_argument(
+        "--also", type=Path, metavar="CACHE", help="draw samples from this cache of page-train import, too"
+    )
+    pose.add_argument(
+        "--also-share", type=float, default=defaults.also_share, help="of the samples (default: %(default)s)"
+    )
     keypoints = command("keypoints", _keypoints, "learn keypoints of the parts, and compare them with others")
     keypoints.add_argument("--count", type=int, default=3, help="keypoints of a part, 3 to 7 (default: %(default)s)")
     keypoints.add_argument("--steps", type=int, default=400, help="of the KP-Estimator (default: %(default)s)")
@@ -90,46 +96,22 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--seed", type=int, default=0)
     record.add_argument("--width", type=int, help="px (default: each scene's own camera)")
     record.add_argument("--jpeg", action="store_true", help="colour as .jpg, a tenth of the size")
-    doctor = commands.add_parser("doctor", help="say what is wrong with a data set, and where")
-    doctor.add_argument("dataset", type=Path, help="a folder")
-    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help="artimage, reartmix, robotarm or one of your own")
-    doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
-    doctor.set_defaults(run_command=_doctor)
+    dataset_commands.add_to(commands)
     return parser
-
-
-def _progress() -> Progress:
-    """A bar on a terminal; elsewhere rich prints nothing and the commands print lines of their own."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
-    )
-
-
-def _say(line: str) -> None:
-    if not sys.stderr.isatty():
-        print(line, file=sys.stderr, flush=True)
 
 
 def _scenes(options: argparse.Namespace) -> None:
     from page_training.cache import make_shards
 
     category = category_named(options.category)
-    with _progress() as progress:
+    with progress_bar() as progress:
         for split, frames in (("validation", options.validation_frames), ("train", options.frames)):
             shards = -(-frames // SHARD_SIZE)
             task = progress.add_task(f"{category.name} {split}", total=shards)
 
             def done(path: Path, task=task) -> None:
                 progress.advance(task)
-                _say(f"{path}")
+                say(f"{path}")
 
             make_shards(category, split, range(shards), options.cache, done)
 
@@ -146,9 +128,11 @@ def _pose(options: argparse.Namespace) -> None:
         threads=options.threads,
         seed=options.seed,
         start_from=None if options.start_from is None else str(options.start_from),
+        also_from=None if options.also is None else str(options.also),
+        also_share=options.also_share,
     )
     run = options.run or DEFAULT_RUNS / options.category
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task(options.category, total=None)
 
         def report(news: Report) -> None:
@@ -157,7 +141,7 @@ def _pose(options: argparse.Namespace) -> None:
             kind = "validation" if news.validation else "training"
             line = f"step {news.step}/{news.steps}  {news.samples_per_s:.1f} frames/s  {kind}: {figures}"
             progress.update(task, completed=news.step, total=news.steps, description=line)
-            _say(line)
+            say(line)
 
         checkpoint = train(config, category_named(options.category), options.cache, run, report)
     if join_workers(config.batch_size).first:
@@ -180,11 +164,11 @@ def _keypoints(options: argparse.Namespace) -> None:
     clouds = part_clouds(options.category, np.random.default_rng(config.seed), config.instances, config.points)
     methods: dict[str, list[np.ndarray]] = {}
     rows = []
-    with _progress() as progress:
+    with progress_bar() as progress:
         for k, cloud in enumerate(clouds):
             task = progress.add_task(f"part {k}", total=config.steps)
             learned, spread = estimate_keypoints(cloud, config, lambda *_, task=task: progress.advance(task))
-            _say(f"part {k}: learned keypoints differ by {spread:.4f} diagonals between instances")
+            say(f"part {k}: learned keypoints differ by {spread:.4f} diagonals between instances")
             for name, found in {"KP-Estimator": learned, **heuristics(cloud, options.count)}.items():
                 methods.setdefault(name, []).append(found)
                 figures = figures_of(found, cloud)
@@ -224,7 +208,7 @@ def _preview(options: argparse.Namespace) -> None:
 def _record(options: argparse.Namespace) -> None:
     from page_training.record import record_split
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task(f"{options.category} {options.split}", total=options.frames)
         record_split(
             options.category,
@@ -237,21 +221,6 @@ def _record(options: argparse.Namespace) -> None:
             on_frame=lambda: progress.advance(task),
         )
     print(options.out)
-
-
-def _doctor(options: argparse.Namespace) -> int:
-    from page_training.datasets.doctor import examine
-
-    with _progress() as progress:
-        task = progress.add_task(str(options.dataset), total=None)
-        findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
-    for one in findings:
-        print(
-            f"{one.severity:8s} {one.check:9s} {one.what}" + (f"\n{'':18s} first at {one.where}" if one.where else "")
-        )
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(one) for one in findings], indent=2) + "\n")
-    return int(any(one.severity == "error" for one in findings))
 
 
 if __name__ == "__main__":

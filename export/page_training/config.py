@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+# rho of the scorer in bundles and evaluations: of the size of the radii's errors.
+VOXEL_M = 0.005
+
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
@@ -30,7 +33,8 @@ class TrainingConfig:
     """Everything a run depends on besides the cached frames.
 
     samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
-    run begins with, instead of random weights.
+    run begins with, instead of random weights. also_from: a second cache, that of `page-train import`, and also_share,
+    the share of samples drawn from it.
     """
 
     category: str
@@ -43,6 +47,8 @@ class TrainingConfig:
     gradient_clip: float = 5.0
     average_decay: float = 0.999
     start_from: str | None = None
+    also_from: str | None = None
+    also_share: float = 0.5
     seed: int = 1
     threads: int = 1
     validate_every: int = 500

@@ -59,10 +59,17 @@ def keep_freed_memory() -> None:
         libc.mallopt(M_TOP_PAD, 256 << 20)
 
 
-def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> NDArray[Any]:
+def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> list[Any]:
     """`count` records at random from all shards."""
-    shard = rng.integers(len(shards), size=count)
-    return np.stack([shards[s][rng.integers(len(shards[s]))] for s in shard])
+    shard = rng.integers(len(shards), size=count) if count else ()
+    return [shards[s][rng.integers(len(shards[s]))] for s in shard]
+
+
+def _shards_for(cache: Path, category: Category) -> list[NDArray[Any]]:
+    shards = open_shards(cache, category.name, "train")
+    if not shards:
+        raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
+    return shards
 
 
 @torch.no_grad()
@@ -88,13 +95,16 @@ def _batches(
 ) -> Iterator[tuple[int, Batch]]:
     """This worker's rows of batch number `step`, which depend only on the seed, the step, the number of workers and the
     cached frames, so a resumed run repeats them."""
-    shards = open_shards(cache, category.name, "train")
+    shards = _shards_for(cache, category)
+    also = [] if config.also_from is None else _shards_for(Path(config.also_from), category)
     for step in range(first_step, steps):
         if step % 200 == 0:
-            shards = open_shards(cache, category.name, "train")
-        if not shards:
-            raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
-        records = _draw(shards, np.random.default_rng([config.seed, step]), config.batch_size)
+            shards = _shards_for(cache, category)
+        rng = np.random.default_rng([config.seed, step])
+        others = int(rng.binomial(config.batch_size, config.also_share)) if also else 0
+        # Mixed, because the workers take rows in turn.
+        records = np.stack(_draw(shards, rng, config.batch_size - others) + _draw(also, rng, others))
+        records = rng.permutation(records) if also else records
         generator = torch.Generator().manual_seed((config.seed * 1_000_003 + step) * workers.count + workers.rank)
         yield (
             step,
@@ -198,7 +208,9 @@ def train(
 def _require_same_run(begun: dict[str, Any], config: TrainingConfig, checkpoint: Path) -> None:
     free = {"samples", "threads", "validate_every", "save_every"}
     now = json.loads(json.dumps(asdict(config)))
-    different = sorted(name for name in now if name not in free and now[name] != begun.get(name))
+    # A run begun before a setting was there was begun with what it is without it.
+    begun = json.loads(json.dumps(asdict(TrainingConfig(config.category)))) | begun
+    different = sorted(name for name in now if name not in free and now[name] != begun[name])
     if different:
         raise ValueError(
             f"{checkpoint}: this run was begun with other {', '.join(different)}; give those again or another --run"

@@ -129,6 +129,18 @@ def summarise_joint(errors: Iterable[JointError], name: str) -> dict[str, Any]:
     }
 
 
+def figures_of(category: Category, compared: Sequence[tuple[ArticulatedPose, Sequence[PartTruth]]]) -> dict[str, Any]:
+    """Of estimates with their truths, as `page-runtime validate` writes them: category, instances, parts, joints."""
+    errors = [error for pose, truths in compared for error in part_errors(pose, truths)]
+    joints = [error for pose, truths in compared for error in joint_errors(category, pose, truths)]
+    return {
+        "category": category.name,
+        "instances": len(compared),
+        "parts": [summarise(errors, part.name) for part in category.parts],
+        "joints": [summarise_joint(joints, joint.name) for joint in category.joints],
+    }
+
+
 def summarise(errors: Iterable[PartError], name: str) -> dict[str, Any]:
     """The figures of part `name` as `page-runtime validate` writes them; the module says what counts."""
     own = [error for error in errors if error.name == name]

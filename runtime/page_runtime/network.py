@@ -35,6 +35,16 @@ class NetworkOutput:
         return NetworkOutput(logits[0], radii[0] * np.float32(region_radius_m), sides[0], np.exp(log_extents[0]))
 
 
+def feeds(metadata: BundleMetadata, sample: RegionSample, neighbours: Neighbours) -> dict[str, NDArray[np.generic]]:
+    """A graph's inputs: image (1,3,S,S) in [0,1]; points (1,N,3) centred, in region radii; the rest as it is."""
+    image = np.ascontiguousarray(sample.image.transpose(2, 0, 1)[None], dtype=np.float32)
+    image *= np.float32(1 / 255)
+    unit = np.float32(metadata.category.region_radius_m)
+    points = (sample.points_camera - sample.center_camera)[None] / unit
+    tables = {name: getattr(neighbours, name)[None] for name in INPUT_NAMES[3:]}
+    return {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
+
+
 class Network:
     """A loaded bundle, ready to run."""
 
@@ -104,18 +114,9 @@ class Network:
                     f"got {value.type} {value.shape}; export it again"
                 )
 
-    def feeds(self, sample: RegionSample, neighbours: Neighbours) -> dict[str, NDArray[np.generic]]:
-        """The graph's inputs: image (1,3,S,S) in [0,1]; points (1,N,3) centred, in region radii; the rest as it is."""
-        image = np.ascontiguousarray(sample.image.transpose(2, 0, 1)[None], dtype=np.float32)
-        image *= np.float32(1 / 255)
-        unit = np.float32(self.metadata.category.region_radius_m)
-        points = (sample.points_camera - sample.center_camera)[None] / unit
-        tables = {name: getattr(neighbours, name)[None] for name in INPUT_NAMES[3:]}
-        return {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
-
     def run_raw(self, sample: RegionSample, neighbours: Neighbours) -> tuple[NDArray[np.float32], ...]:
         """The graph's outputs as they are, in the order of OUTPUT_NAMES."""
-        outputs = self.session.run(OUTPUT_NAMES, self.feeds(sample, neighbours))
+        outputs = self.session.run(OUTPUT_NAMES, feeds(self.metadata, sample, neighbours))
         return tuple(np.asarray(value, dtype=np.float32) for value in outputs)
 
     def run(self, sample: RegionSample, neighbours: Neighbours) -> NetworkOutput:

@@ -10,8 +10,10 @@ from page_runtime.commands.inputs import estimates, open_inputs
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, write_json
 from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
-from page_runtime.evaluation import JointError, PartError, joint_errors, part_errors, summarise, summarise_joint
+from page_runtime.evaluation import figures_of
 from page_runtime.overlay import draw
+from page_runtime.pose import ArticulatedPose
+from page_runtime.recorded import PartTruth
 
 HEADER = (
     "part", "visible", "missing", "rot mean", "median", "trans mean", "median", "of diag.", "IoU mean", "median",
@@ -29,10 +31,7 @@ def validate(
         raise UsageError(f"{recording}: this {inputs.source.format} has no true poses to compare with")
     require_file_place(json, option="--json")
     require_folder_place(overlay, option="--overlay")
-    errors: list[PartError] = []
-    joints: list[JointError] = []
-    category = inputs.network.metadata.category
-    instances = 0
+    compared: list[tuple[ArticulatedPose, tuple[PartTruth, ...]]] = []
     with (
         overlay_output(overlay) as pictures,
         Progress("validate", len(inputs.source), quiet=quiet) as progress,
@@ -40,20 +39,15 @@ def validate(
         for recorded, found in estimates(inputs):
             for instance, pose in found:
                 if instance.truths is not None:
-                    errors.extend(part_errors(pose, instance.truths))
-                    joints.extend(joint_errors(category, pose, instance.truths))
-                    instances += 1
+                    compared.append((pose, instance.truths))
             if pictures is not None:
                 pictures.add(recorded.frame.index, draw(recorded.frame, found, with_truth=True))
             progress.advance()
     document = {
         "recording": recording.name,
         "bundle": bundle.name,
-        "category": category.name,
         "frames": len(inputs.source),
-        "instances": instances,
-        "parts": [summarise(errors, part.name) for part in category.parts],
-        "joints": [summarise_joint(joints, joint.name) for joint in category.joints],
+        **figures_of(inputs.network.metadata.category, compared),
     }
     if json is not None:
         write_json(json, document)

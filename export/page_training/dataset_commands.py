@@ -1,0 +1,135 @@
+"""The commands of `page-train` that read data sets: doctor, import, evaluate."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from page_training.categories import CATEGORIES, category_named
+from page_training.terminal import progress_bar
+
+if TYPE_CHECKING:
+    from page_runtime.recorded import Source
+
+
+def add_to(commands: Any) -> None:
+    """Their parsers, on what argparse's add_subparsers gave."""
+    doctor = commands.add_parser("doctor", help="say what is wrong with a data set, and where")
+    doctor.add_argument("dataset", type=Path, help="a folder")
+    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help="artimage, reartmix, robotarm or one of your own")
+    doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
+    doctor.set_defaults(run_command=_doctor)
+    imported = _command(commands, "import", _import, "make training samples of an annotated data set")
+    imported.add_argument("category", choices=sorted(CATEGORIES))
+    _dataset(imported, layout_required=True)
+    imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
+    imported.add_argument("--repeats", type=int, default=8, help="cuts of each instance (default: %(default)s)")
+    imported.add_argument("--seed", type=int, default=0)
+    evaluate = _command(commands, "evaluate", _evaluate, "compare a checkpoint's poses with true ones")
+    evaluate.add_argument("checkpoint", type=Path, help="of page-train pose or keep")
+    _dataset(evaluate, layout_required=False)
+    evaluate.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+
+
+def _command(commands: Any, name: str, run: Any, description: str) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=description, description=description)
+    parser.set_defaults(run_command=run)
+    return parser
+
+
+def _dataset(parser: argparse.ArgumentParser, *, layout_required: bool) -> None:
+    parser.add_argument("dataset", type=Path, help="a folder")
+    parser.add_argument("--layout", metavar="NAME", required=layout_required, help="reartmix; needed for --objects")
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--objects", type=int, nargs="+", metavar="ID", help="only these objects of the data set")
+    chosen.add_argument("--without", type=int, nargs="+", metavar="ID", help="all its objects but these")
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from page_training.datasets.doctor import examine
+
+    with progress_bar() as progress:
+        task = progress.add_task(str(options.dataset), total=None)
+        findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
+    for one in findings:
+        print(
+            f"{one.severity:8s} {one.check:9s} {one.what}" + (f"\n{'':18s} first at {one.where}" if one.where else "")
+        )
+    if options.json is not None:
+        options.json.write_text(json.dumps([asdict(one) for one in findings], indent=2) + "\n")
+    return int(any(one.severity == "error" for one in findings))
+
+
+def _chosen(known: Sequence[int], options: argparse.Namespace) -> list[int]:
+    """The objects asked for; ValueError for one that is not known."""
+    named = options.objects or options.without or []
+    unknown = sorted(set(named) - set(known))
+    if unknown:
+        raise ValueError(f"{options.dataset}: expected objects among {sorted(known)}, got {unknown}")
+    return sorted(set(options.objects) if options.objects else set(known) - set(named))
+
+
+def _import(options: argparse.Namespace) -> None:
+    from page_training.cache import write_shard
+    from page_training.datasets.samples import import_samples, objects_of, open_labelled
+    from page_training.records import SHARD_SIZE, shard_path
+
+    if options.repeats < 1:
+        raise ValueError(f"--repeats: expected at least 1, got {options.repeats}")
+    category = category_named(options.category)
+    if list(shard_path(options.cache, category.name, "train", 0).parent.glob("train-*.npy")):
+        raise ValueError(f"--cache: expected a folder without samples of {category.name!r}, got {options.cache}")
+    annotated, source = open_labelled(options.dataset, options.layout)
+    counts = objects_of(annotated)
+    objects = _chosen(list(counts), options)
+    with progress_bar() as progress:
+        task = progress.add_task("importing", total=sum(counts[one] for one in objects))
+        records = import_samples(
+            annotated,
+            source,
+            objects,
+            category,
+            options.repeats,
+            options.seed,
+            on_instance=lambda: progress.advance(task),
+        )
+    for shard, start in enumerate(range(0, len(records), SHARD_SIZE)):
+        write_shard(shard_path(options.cache, category.name, "train", shard), records[start : start + SHARD_SIZE])
+    print(f"{options.cache}: {len(records)} samples of the objects {', '.join(map(str, objects))}")
+
+
+def _source(options: argparse.Namespace) -> Source:
+    from page_runtime.capture.playback import open_source
+    from page_training.datasets.samples import objects_of, only_objects, open_labelled
+
+    if not (options.objects or options.without):
+        return open_source(options.dataset)
+    if options.layout is None:
+        raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
+    annotated, source = open_labelled(options.dataset, options.layout)
+    return only_objects(annotated, source, _chosen(list(objects_of(annotated)), options))
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    from page_runtime.commands.validate import readable
+    from page_training.checkpoint import load_average, load_checkpoint, trained_category
+    from page_training.evaluate import evaluate
+    from page_training.network import network_for
+    from page_training.templates import with_templates
+
+    state = load_checkpoint(options.checkpoint)
+    category = trained_category(state)
+    network = network_for(category)
+    load_average(network, state, options.checkpoint)
+    source = _source(options)
+    with progress_bar() as progress:
+        task = progress.add_task("evaluating", total=len(source))
+        document = evaluate(network, with_templates(category), source, lambda: progress.advance(task))
+    document |= {"bundle": options.checkpoint.name, "samples": state["samples"]}
+    if options.json is not None:
+        options.json.write_text(json.dumps(document, indent=2) + "\n")
+    print(readable(document), end="")

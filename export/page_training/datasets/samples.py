@@ -1,0 +1,207 @@
+"""Annotated real pictures as training samples: for a network trained on scenes to go on with (`page-train import`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.camera import Camera
+from page_runtime.capture.playback import open_source
+from page_runtime.category import Category
+from page_runtime.frame import RgbdFrame
+from page_runtime.geometry import Array, apply, invert
+from page_runtime.neighbours import LEVELS
+from page_runtime.recorded import PartTruth, Source
+from page_runtime.sampling import Region, RegionSample, sample_region
+from page_training.cache import fill_record
+from page_training.datasets.annotated import Annotated, read_annotated
+from page_training.datasets.layout import read_layout
+from page_training.record import jittered
+from page_training.records import IMAGE_SIZE, record_type
+
+# Around the visible box, as the crops of scenes have it.
+_MARGINS = (0.05, 0.3)
+# Polygons were drawn by hand and depth bleeds at edges: a marked point so far out of the part's box is not of it.
+_BEYOND_BOX_M = 0.015
+# Pixels to either side that a normal is taken across, and how far apart in depth these may be.
+_NORMAL_STEP = 3
+_NORMAL_JUMP_M = 0.03
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LabelledInstance:
+    """One object in one picture. identity: the data set's number of the object. part_mask: (H,W) uint8, 0 background,
+    k + 1 part k. truths: of all parts, in the category's order and frames."""
+
+    identity: int
+    frame: RgbdFrame
+    region: Region
+    part_mask: NDArray[np.uint8]
+    truths: tuple[PartTruth, ...]
+
+
+def open_labelled(path: Path, layout_name: str) -> tuple[Annotated, Source]:
+    """A data set as annotated and as `page-runtime` plays it, whose parts have the category's canonical frames.
+
+    ValueError for layouts whose canonical frames are not known.
+    """
+    layout = read_layout(layout_name)
+    source = open_source(path)
+    if not source.has_truth or not source.format.startswith(layout.name):
+        raise ValueError(
+            f"{path}: expected a data set of layout {layout.name} whose part frames page-runtime knows, got "
+            f"{source.format}"
+        )
+    return read_annotated(path, layout), source
+
+
+def objects_of(annotated: Annotated) -> dict[int, int]:
+    """How many instances of each object are in the pictures, by the object's number."""
+    counts: dict[int, int] = {}
+    for frame in annotated.frames:
+        for instance in frame.instances:
+            counts[instance.model] = counts.get(instance.model, 0) + 1
+    return counts
+
+
+def only_objects(annotated: Annotated, source: Source, objects: Collection[int]) -> Source:
+    """The source with the instances of these objects alone, and without the pictures that show none.
+
+    ValueError for an object that the data set does not have, and if no picture is left.
+    """
+    unknown = sorted(set(objects) - objects_of(annotated).keys())
+    if unknown or not objects:
+        raise ValueError(f"objects: expected some of {sorted(objects_of(annotated))}, got {unknown or 'none'}")
+    models = {frame.color_path: [one.model for one in frame.instances] for frame in annotated.frames}
+    entries = []
+    for entry in source.entries:
+        chosen = tuple(
+            instance
+            for instance, model in zip(entry.instances, models.get(entry.color_path, []), strict=False)
+            if model in objects
+        )
+        if chosen:
+            entries.append(replace(entry, instances=chosen))
+    return replace(source, entries=tuple(entries))
+
+
+def labelled_instances(annotated: Annotated, source: Source, objects: Collection[int]) -> Iterator[LabelledInstance]:
+    """Every instance of the objects that has a region and true poses, picture by picture."""
+    entries = {entry.color_path: entry for entry in source.entries}
+    first_link = annotated.layout.first_link
+    for annotation in annotated.frames:
+        wanted = [i for i, one in enumerate(annotation.instances) if one.model in objects]
+        entry = entries.get(annotation.color_path)
+        if entry is None or not wanted:
+            continue
+        recorded = entry.read()
+        for i in wanted:
+            instance, links = recorded.instances[i], annotation.instances[i].links
+            if instance.region is None or instance.truths is None:
+                continue
+            part_mask = np.zeros(recorded.frame.depth_m.shape, np.uint8)
+            for n, link in enumerate(links):
+                part_mask[annotation.mask(i, n, first_link)] = link.identity - first_link + 1
+            yield LabelledInstance(
+                annotation.instances[i].model, recorded.frame, instance.region, part_mask, instance.truths
+            )
+
+
+def records_of(instance: LabelledInstance, category: Category, repeats: int, rng: np.random.Generator) -> NDArray[Any]:
+    """(R,) training records of `record_type`, R <= repeats, each of the region cut out and moved at random.
+
+    Fewer, or none, where the region holds too little depth.
+    """
+    frame = instance.frame
+    normals = normals_camera(frame.depth_m, frame.camera)
+    records = np.zeros(repeats, record_type(len(category.parts)))
+    filled = 0
+    for _ in range(repeats):
+        sample = sample_region(
+            frame,
+            jittered(instance.region, rng, frame.camera.width, frame.camera.height),
+            image_size=IMAGE_SIZE,
+            num_points=LEVELS[0],
+            radius_m=category.region_radius_m,
+            margin=float(rng.uniform(*_MARGINS)),
+        )
+        if isinstance(sample, str):
+            continue
+        fill_record(
+            records[filled], sample, labels=_labels(instance, sample), normals_camera=normals, truths=instance.truths
+        )
+        filled += 1
+    return records[:filled]
+
+
+def _labels(instance: LabelledInstance, sample: RegionSample) -> NDArray[np.int64]:
+    """(N,) part of each point, the number of parts for background."""
+    background = len(instance.truths)
+    labels = instance.part_mask.ravel()[sample.source_index].astype(np.int64) - 1
+    labels[labels < 0] = background
+    for k, truth in enumerate(instance.truths):
+        own = np.flatnonzero(labels == k)
+        inside = np.abs(apply(invert(truth.T_camera_part), sample.points_camera[own].astype(np.float64)))
+        labels[own[(inside > 0.5 * truth.extents_m + _BEYOND_BOX_M).any(axis=1)]] = background
+    return labels
+
+
+def normals_camera(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """(H,W,3) unit normals towards the camera, from differences of the points; along the ray where there are none."""
+    rows, columns = np.indices(depth_m.shape)
+    pixels = np.stack([columns, rows], axis=-1).astype(np.float64)
+    rays = camera.rays(pixels)
+    points = rays * depth_m[..., None]
+    across, known_across = _difference(points, depth_m, axis=1)
+    down, known_down = _difference(points, depth_m, axis=0)
+    normals = np.cross(down, across)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    flat = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    good = (known_across & known_down & (length[..., 0] > 0.0))[..., None]
+    normals = np.where(good, normals / np.where(length > 0.0, length, 1.0), flat)
+    facing = np.einsum("hwk,hwk->hw", normals, rays) > 0.0
+    normals[facing] = -normals[facing]
+    return normals.astype(np.float32)
+
+
+def _difference(points: Array, depth_m: NDArray[np.float32], *, axis: int) -> tuple[Array, NDArray[np.bool_]]:
+    """(H,W,3) m across 2 _NORMAL_STEP pixels, and where both ends are of one surface."""
+    ahead, behind = -_NORMAL_STEP, _NORMAL_STEP
+    difference = np.roll(points, ahead, axis) - np.roll(points, behind, axis)
+    far, near = np.roll(depth_m, ahead, axis), np.roll(depth_m, behind, axis)
+    known = (far > 0.0) & (near > 0.0) & (depth_m > 0.0)
+    known &= (np.abs(far - depth_m) < _NORMAL_JUMP_M) & (np.abs(near - depth_m) < _NORMAL_JUMP_M)
+    edge = [slice(None), slice(None)]
+    for end in (slice(0, _NORMAL_STEP), slice(-_NORMAL_STEP, None)):
+        edge[axis] = end
+        known[tuple(edge)] = False
+    return difference, known
+
+
+def import_samples(
+    annotated: Annotated,
+    source: Source,
+    objects: Collection[int],
+    category: Category,
+    repeats: int,
+    seed: int,
+    on_instance: Callable[[], None] = lambda: None,
+) -> NDArray[Any]:
+    """(R,) records of all instances of the objects; ValueError if there are none."""
+    if source.category != category.name:
+        raise ValueError(f"{source.path}: expected objects of the category {category.name!r}, got {source.category!r}")
+    only_objects(annotated, source, objects)
+    rng = np.random.default_rng(seed)
+    pieces = []
+    for instance in labelled_instances(annotated, source, objects):
+        pieces.append(records_of(instance, category, repeats, rng))
+        on_instance()
+    records = np.concatenate(pieces) if pieces else np.zeros(0, record_type(len(category.parts)))
+    if not len(records):
+        raise ValueError(f"{source.path}: no instance of the objects {sorted(objects)} has depth to learn from")
+    return records

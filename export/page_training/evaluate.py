@@ -1,0 +1,71 @@
+"""A network's poses against the truth of recorded frames, before it is exported: one look at each, uncalibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from page_runtime.bundle import BundleMetadata
+from page_runtime.category import Category
+from page_runtime.estimator import pose_from_output, sample_for
+from page_runtime.evaluation import figures_of
+from page_runtime.neighbours import LEVELS, Neighbours, find_neighbours
+from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, NetworkOutput, feeds
+from page_runtime.pose import ArticulatedPose, not_seen
+from page_runtime.recorded import PartTruth, Source
+from page_runtime.sampling import RegionSample
+from page_training.config import VOXEL_M
+from page_training.network import NetworkInputs, PageNetwork
+from page_training.records import IMAGE_SIZE
+
+
+def metadata_for(category: Category) -> BundleMetadata:
+    """What the runtime needs to know of a network that is no bundle yet."""
+    return BundleMetadata(category, LEVELS[0], IMAGE_SIZE, VOXEL_M, opset=0, mirrored=False, provenance={})
+
+
+def torch_inputs(metadata: BundleMetadata, sample: RegionSample, neighbours: Neighbours) -> NetworkInputs:
+    """The same arrays the runtime feeds, as tensors."""
+    given = feeds(metadata, sample, neighbours)
+    return NetworkInputs(*(torch.from_numpy(np.ascontiguousarray(given[name])) for name in INPUT_NAMES))
+
+
+@torch.no_grad()
+def answer(network: PageNetwork, sample: RegionSample, metadata: BundleMetadata) -> NetworkOutput:
+    """What the network says of a sample, as the runtime's session gives it."""
+    neighbours = find_neighbours(sample.points_camera - sample.center_camera)
+    outputs = network(torch_inputs(metadata, sample, neighbours))
+    values = tuple(getattr(outputs, name).numpy() for name in OUTPUT_NAMES)
+    return NetworkOutput.from_graph(values, metadata.category.region_radius_m)
+
+
+def evaluate(
+    network: PageNetwork, category: Category, source: Source, on_frame: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """The figures of `page-runtime validate` of every instance with a region and true poses.
+
+    ValueError for frames of another category or without truth.
+    """
+    if source.category not in (None, category.name) or not source.has_truth:
+        raise ValueError(
+            f"{source.path}: expected frames of {category.name!r} with true poses, got a {source.format} of "
+            f"{source.category!r}"
+        )
+    network.eval()
+    metadata = metadata_for(category)
+    compared: list[tuple[ArticulatedPose, tuple[PartTruth, ...]]] = []
+    for recorded in source:
+        for instance in recorded.instances:
+            if instance.region is None or instance.truths is None:
+                continue
+            sample = sample_for(metadata, recorded.frame, instance.region)
+            if isinstance(sample, str):
+                pose = not_seen(category, sample)
+            else:
+                pose = pose_from_output(metadata, sample, answer(network, sample, metadata))
+            compared.append((pose, instance.truths))
+        on_frame()
+    return {"recording": source.path.name, "frames": len(source), **figures_of(category, compared)}
