@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,7 @@ from page_training.records import SHARD_SIZE, SPLITS
 from page_training.terminal import progress_bar, say
 
 if TYPE_CHECKING:
+    from page_training.events import EventLog
     from page_training.train import Report
 
 MAX_COUNT = 7
@@ -72,6 +75,9 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument(
         "--also", type=Path, metavar="CACHE", help="draw samples from this cache of page-train import, too"
     )
+    pose.add_argument("--halve-every", type=int, metavar="SAMPLES", help="halve the learning rate so, no cosine")
+    pose.add_argument("--patience", type=int, metavar="N", help="end after N validations without a better one")
+    pose.add_argument("--tensorboard", action="store_true", help="write TensorBoard events into the run's folder")
     pose.add_argument(
         "--also-share", type=float, default=defaults.also_share, help="of the samples (default: %(default)s)"
     )
@@ -130,9 +136,12 @@ def _pose(options: argparse.Namespace) -> None:
         start_from=None if options.start_from is None else str(options.start_from),
         also_from=None if options.also is None else str(options.also),
         also_share=options.also_share,
+        halve_every=options.halve_every,
+        patience=options.patience,
     )
     run = options.run or DEFAULT_RUNS / options.category
-    with progress_bar() as progress:
+    first = join_workers(config.batch_size).first
+    with progress_bar() as progress, _events(run / "events" if options.tensorboard and first else None) as events:
         task = progress.add_task(options.category, total=None)
 
         def report(news: Report) -> None:
@@ -142,10 +151,28 @@ def _pose(options: argparse.Namespace) -> None:
             line = f"step {news.step}/{news.steps}  {news.samples_per_s:.1f} frames/s  {kind}: {figures}"
             progress.update(task, completed=news.step, total=news.steps, description=line)
             say(line)
+            if events is not None:
+                events.add(news)
 
         checkpoint = train(config, category_named(options.category), options.cache, run, report)
-    if join_workers(config.batch_size).first:
+    if first:
         print(checkpoint)
+
+
+@contextmanager
+def _events(folder: Path | None) -> Iterator[EventLog | None]:
+    if folder is None:
+        yield None
+        return
+    try:
+        from page_training.events import EventLog
+    except ImportError as error:
+        raise ValueError(f"--tensorboard: {error}; install 'page-edge[tensorboard]'") from error
+    log = EventLog(folder)
+    try:
+        yield log
+    finally:
+        log.close()
 
 
 def _keypoints(options: argparse.Namespace) -> None:

@@ -34,7 +34,8 @@ class TrainingConfig:
 
     samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
     run begins with, instead of random weights. also_from: a second cache, that of `page-train import`, and also_share,
-    the share of samples drawn from it.
+    the share of samples drawn from it. halve_every: samples after which the learning rate halves (the paper: 20 epochs
+    from 1e-3), None for half a cosine. patience: validations without a better total that end the run, None for none.
     """
 
     category: str
@@ -49,8 +50,26 @@ class TrainingConfig:
     start_from: str | None = None
     also_from: str | None = None
     also_share: float = 0.5
+    halve_every: int | None = None
+    patience: int | None = None
     seed: int = 1
     threads: int = 1
     validate_every: int = 500
     save_every: int = 100
     augmentation: Augmentation = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        for name in (
+            "samples",
+            "batch_size",
+            "dense_points",
+            "halve_every",
+            "patience",
+            "validate_every",
+            "save_every",
+        ):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name}: expected at least 1, got {value}")
+        if not 0.0 <= self.also_share <= 1.0:
+            raise ValueError(f"also_share: expected a share in [0, 1], got {self.also_share}")

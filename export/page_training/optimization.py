@@ -30,10 +30,12 @@ def optimizers_for(network: nn.Module, config: TrainingConfig) -> tuple[Optimize
 
 
 def set_learning_rate(optimizers: tuple[Optimizer, ...], step: int, steps: int, config: TrainingConfig) -> None:
-    """A short linear rise, then half a cosine to a hundredth."""
+    """A short linear rise, then half a cosine to a hundredth, or halves at every `halve_every` samples."""
     warmup = max(1, round(config.warmup_share * steps))
     if step < warmup:
         share = (step + 1) / warmup
+    elif config.halve_every is not None:
+        share = 0.5 ** (step * config.batch_size // config.halve_every)
     else:
         share = max(0.01, 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, steps - warmup))))
     for optimizer in optimizers:

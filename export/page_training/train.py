@@ -21,26 +21,31 @@ from numpy.typing import NDArray
 from page_runtime.bundle import category_document
 from page_runtime.category import Category
 from page_training.batches import Batch, make_batch
-from page_training.checkpoint import load_average, load_checkpoint, save_checkpoint
+from page_training.checkpoint import keep_weights, load_average, load_checkpoint, save_checkpoint
 from page_training.config import TrainingConfig
 from page_training.losses import page_loss
-from page_training.network import PageNetwork, network_for
+from page_training.network import network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import open_shards
+from page_training.run_folder import add_report, begin, require_same_run, validation_totals
+from page_training.validation import validation_losses, validation_picture
 from page_training.workers import Workers, join_workers
 
+HISTORY = ("step", "steps", "samples_per_s", "losses", "validation")
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a training step tells its watcher. losses: mean since the last report; validation: None between rounds."""
+    """What a training step tells its watcher. losses: mean since the last report; validation, and its picture (H,W,3)
+    RGB: None between rounds."""
 
     step: int
     steps: int
     samples_per_s: float
     losses: dict[str, float]
     validation: dict[str, float] | None
+    picture: NDArray[np.uint8] | None = None
 
 
 def keep_freed_memory() -> None:
@@ -70,24 +75,6 @@ def _shards_for(cache: Path, category: Category) -> list[NDArray[Any]]:
     if not shards:
         raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
     return shards
-
-
-@torch.no_grad()
-def validation_losses(
-    network: PageNetwork, shards: list[NDArray[Any]], category: Category, limit: int = 256
-) -> dict[str, float]:
-    """Mean losses on the first `limit` validation frames, not augmented."""
-    network.eval()
-    generator = torch.Generator().manual_seed(0)
-    sums: dict[str, float] = {}
-    records = np.concatenate(shards)[:limit]
-    for start in range(0, len(records), 16):
-        chunk = records[start : start + 16]
-        batch = make_batch(chunk, category, dense_points=1024, generator=generator, augmentation=None)
-        for name, value in page_loss(network(batch.inputs, batch.dense), batch.targets).items():
-            sums[name] = sums.get(name, 0.0) + float(value) * len(chunk)
-    network.train()
-    return {name: value / len(records) for name, value in sums.items()}
 
 
 def _batches(
@@ -123,10 +110,10 @@ def train(
 ) -> Path:
     """Train, or go on with the run in folder `run`; returns its checkpoint.
 
-    The folder holds config.json, checkpoint.pt and history.jsonl. Interrupt it at any time; at most `save_every` steps
-    are repeated. A run may go on with another number of samples or threads, and is then on another learning rate's
-    curve; ValueError when anything else differs from what it was begun with. Under torchrun its processes share every
-    batch, and the first one writes the folder.
+    `run_folder` says what the folder holds. Interrupt it at any time; at most `save_every` steps are repeated. A run
+    may go on with another number of samples, threads or patience, and is then on another learning rate's curve;
+    ValueError when anything else differs from what it was begun with. It ends early after `patience` validations
+    without a better total. Under torchrun its processes share every batch, and the first one writes the folder.
     """
     keep_freed_memory()
     workers = join_workers(config.batch_size)
@@ -138,7 +125,7 @@ def train(
     checkpoint = run / "checkpoint.pt"
     state = load_checkpoint(checkpoint, category) if checkpoint.exists() else None
     if state is not None:
-        _require_same_run(json.loads(state["config"]), config, checkpoint)
+        require_same_run(run, json.loads(state["config"]), config)
         network.load_state_dict(state["network"])
         first_step = state["step"]
         earlier_samples = state["samples"] - first_step * config.batch_size
@@ -154,8 +141,10 @@ def train(
             optimizer.load_state_dict(saved)
     steps = math.ceil(config.samples / config.batch_size)
     if workers.first:
-        run.mkdir(parents=True, exist_ok=True)
-        (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
+        begin(run, config)
+    totals = validation_totals(run, first_step)
+    if _ended(totals, config.patience):
+        return checkpoint
     module = workers.joined(network)
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
@@ -177,41 +166,39 @@ def train(
         done = step + 1
         if done % config.save_every == 0 or done == steps:
             means = workers.means({name: value / counted for name, value in sums.items()})
-            if not workers.first:
-                sums, counted = {}, 0
-                continue
-            due = validation and (done % config.validate_every == 0 or done == steps)
-            report = Report(
-                step=done,
-                steps=steps,
-                samples_per_s=counted * config.batch_size / (time.perf_counter() - since),
-                losses=means,
-                validation=validation_losses(average, validation, category) if due else None,
-            )
-            with (run / "history.jsonl").open("a") as history:
-                history.write(json.dumps(asdict(report)) + "\n")
-            save_checkpoint(
-                checkpoint,
-                network=network.state_dict(),
-                average=average.state_dict(),
-                optimizers=[optimizer.state_dict() for optimizer in optimizers],
-                step=done,
-                samples=earlier_samples + done * config.batch_size,
-                category=json.dumps(category_document(category)),
-                config=json.dumps(asdict(config)),
-            )
-            on_report(report)
+            if workers.first:
+                speed = counted * config.batch_size / (time.perf_counter() - since)
+                due = bool(validation) and (done % config.validate_every == 0 or done == steps)
+                report = Report(
+                    step=done,
+                    steps=steps,
+                    samples_per_s=speed,
+                    losses=means,
+                    validation=validation_losses(average, validation, category) if due else None,
+                    picture=validation_picture(average, validation, category) if due else None,
+                )
+                save_checkpoint(
+                    checkpoint,
+                    network=network.state_dict(),
+                    average=average.state_dict(),
+                    optimizers=[optimizer.state_dict() for optimizer in optimizers],
+                    step=done,
+                    samples=earlier_samples + done * config.batch_size,
+                    category=json.dumps(category_document(category)),
+                    config=json.dumps(asdict(config)),
+                )
+                if report.validation is not None:
+                    totals.append(report.validation["total"])
+                    if totals[-1] == min(totals):
+                        keep_weights(checkpoint, run / "best.pt")
+                add_report(run, {name: getattr(report, name) for name in HISTORY}, report.picture)
+                on_report(report)
+            if workers.means({"ended": float(workers.first and _ended(totals, config.patience))})["ended"] > 0.0:
+                break
             sums, counted, since = {}, 0, time.perf_counter()
     return checkpoint
 
 
-def _require_same_run(begun: dict[str, Any], config: TrainingConfig, checkpoint: Path) -> None:
-    free = {"samples", "threads", "validate_every", "save_every"}
-    now = json.loads(json.dumps(asdict(config)))
-    # A run begun before a setting was there was begun with what it is without it.
-    begun = json.loads(json.dumps(asdict(TrainingConfig(config.category)))) | begun
-    different = sorted(name for name in now if name not in free and now[name] != begun[name])
-    if different:
-        raise ValueError(
-            f"{checkpoint}: this run was begun with other {', '.join(different)}; give those again or another --run"
-        )
+def _ended(totals: list[float], patience: int | None) -> bool:
+    """Whether the last `patience` validations were no better than one before them."""
+    return patience is not None and len(totals) > patience and min(totals[-patience:]) > min(totals[:-patience])
