@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
@@ -106,40 +105,29 @@ def _commit() -> str:
     return described.stdout.strip()
 
 
-def _trained(path: Path) -> tuple[dict[str, Any], Any, Any]:
-    """(checkpoint, category, averaged network) of a checkpoint file."""
-    from page_training.checkpoint import load_average, load_checkpoint, trained_category
-    from page_training.network import network_for
-
-    state = load_checkpoint(path)
-    category = trained_category(state)
-    network = network_for(category)
-    load_average(network, state, path)
-    return state, category, network
-
-
 def _onnx(options: argparse.Namespace) -> int:
     from page_export.onnx_export import graph_of, write_bundle
     from page_export.parity import compare_on
     from page_runtime.network import Network
     from page_training.templates import with_templates
+    from page_training.trained import load_trained
 
-    state, category, network = _trained(options.checkpoint)
-    training = json.loads(state["config"])
+    trained = load_trained(options.checkpoint)
+    training = trained.config
     mirrored = training["augmentation"]["flip_probability"] > 0.0
     provenance: dict[str, Any] = {
         "trained_on": "procedural scenes only",
         "commit": _commit(),
-        "frames_seen": state["samples"],
+        "frames_seen": trained.samples,
         "training": training,
         "note": options.note,
     }
-    category = with_templates(category)
-    model = graph_of(network)
+    category = with_templates(trained.category)
+    model = graph_of(trained.network)
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.onnx"
         write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
-        parity = compare_on(Network(trial), network, options.compare_on)
+        parity = compare_on(Network(trial), trained.network, options.compare_on)
     code = _report(parity)
     if code == 0:
         provenance["parity"] = asdict(parity)
@@ -151,8 +139,9 @@ def _onnx(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from page_export.parity import compare_on
     from page_runtime.network import Network
+    from page_training.trained import load_trained
 
-    _, _, network = _trained(options.against)
+    network = load_trained(options.against).network
     return _report(compare_on(Network(options.bundle), network, options.data))
 
 

@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from page_training import dataset_commands
 from page_training.categories import CATEGORIES, category_named
-from page_training.config import TrainingConfig
+from page_training.config import Fusion, TrainingConfig
 from page_training.records import SHARD_SIZE, SPLITS
 from page_training.terminal import progress_bar, say
 
@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument("--learning-rate", type=float, default=defaults.learning_rate)
     pose.add_argument("--threads", type=int, default=defaults.threads)
     pose.add_argument("--seed", type=int, default=defaults.seed)
+    pose.add_argument("--fusion", choices=get_args(Fusion), default=defaults.fusion, help="default: %(default)s")
     pose.add_argument("--cache", type=Path, default=DEFAULT_CACHE)
     pose.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
     pose.add_argument(
@@ -128,6 +129,7 @@ def _pose(options: argparse.Namespace) -> None:
 
     config = TrainingConfig(
         category=options.category,
+        fusion=options.fusion,
         samples=options.samples,
         batch_size=options.batch_size,
         learning_rate=options.learning_rate,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
+Fusion = Literal["gated", "concatenated", "dense", "depth"]
 # rho of the scorer in bundles and evaluations: of the size of the radii's errors.
 VOXEL_M = 0.005
 
@@ -32,13 +34,15 @@ class Augmentation:
 class TrainingConfig:
     """Everything a run depends on besides the cached frames.
 
-    samples: frames seen in all, repeats included. start_from: a checkpoint or kept weights whose averaged network this
-    run begins with, instead of random weights. also_from: a second cache, that of `page-train import`, and also_share,
-    the share of samples drawn from it. halve_every: samples after which the learning rate halves (the paper: 20 epochs
+    fusion: how colour joins geometry; all but "gated" are the paper's comparisons. samples: frames seen in all, repeats
+    included. start_from: a checkpoint or kept weights whose averaged network this run begins with, instead of random
+    weights. also_from: a second cache, that of `page-train import`, and also_share, the share of samples drawn from it.
+    halve_every: samples after which the learning rate halves (the paper: 20 epochs
     from 1e-3), None for half a cosine. patience: validations without a better total that end the run, None for none.
     """
 
     category: str
+    fusion: Fusion = "gated"
     samples: int = 100_000
     batch_size: int = 12
     dense_points: int = 512
@@ -71,5 +75,7 @@ class TrainingConfig:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name}: expected at least 1, got {value}")
+        if self.fusion not in get_args(Fusion):
+            raise ValueError(f"fusion: expected one of {', '.join(get_args(Fusion))}, got {self.fusion!r}")
         if not 0.0 <= self.also_share <= 1.0:
             raise ValueError(f"also_share: expected a share in [0, 1], got {self.also_share}")

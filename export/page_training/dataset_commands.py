@@ -116,20 +116,16 @@ def _source(options: argparse.Namespace) -> Source:
 
 def _evaluate(options: argparse.Namespace) -> None:
     from page_runtime.commands.validate import readable
-    from page_training.checkpoint import load_average, load_checkpoint, trained_category
     from page_training.evaluate import evaluate
-    from page_training.network import network_for
     from page_training.templates import with_templates
+    from page_training.trained import load_trained
 
-    state = load_checkpoint(options.checkpoint)
-    category = trained_category(state)
-    network = network_for(category)
-    load_average(network, state, options.checkpoint)
+    trained = load_trained(options.checkpoint)
     source = _source(options)
     with progress_bar() as progress:
         task = progress.add_task("evaluating", total=len(source))
-        document = evaluate(network, with_templates(category), source, lambda: progress.advance(task))
-    document |= {"bundle": options.checkpoint.name, "samples": state["samples"]}
+        document = evaluate(trained.network, with_templates(trained.category), source, lambda: progress.advance(task))
+    document |= {"bundle": options.checkpoint.name, "samples": trained.samples}
     if options.json is not None:
         options.json.write_text(json.dumps(document, indent=2) + "\n")
     print(readable(document), end="")

@@ -174,3 +174,50 @@ class GeometryGuidedFuser(nn.Module):
 
     def forward(self, geometry: Tensor, color: Tensor) -> Tensor:
         return torch.cat([self.weights(geometry, color) * color, geometry], dim=-1)
+
+
+class ConcatenationFuser(nn.Module):
+    """Colour and geometry side by side, the paper's first alternative (Table II, IV)."""
+
+    def __init__(self, geometry: int, color: int, hidden: int) -> None:
+        super().__init__()
+        del hidden
+        self.outputs = geometry + color
+
+    def forward(self, geometry: Tensor, color: Tensor) -> Tensor:
+        return torch.cat([color, geometry], dim=-1)
+
+
+class DenseFuser(nn.Module):
+    """Both at every point, and their mean over all points after a layer of both: DenseFusion's way (Table II, V)."""
+
+    def __init__(self, geometry: int, color: int, hidden: int) -> None:
+        super().__init__()
+        self.joint = nn.Sequential(Dense(geometry + color, hidden), nn.Linear(hidden, hidden))
+        self.outputs = geometry + color + hidden
+
+    def forward(self, geometry: Tensor, color: Tensor) -> Tensor:
+        both = torch.cat([color, geometry], dim=-1)
+        whole = self.joint(both).mean(dim=1, keepdim=True).expand(-1, both.shape[1], -1)
+        return torch.cat([both, whole], dim=-1)
+
+
+class GeometryAlone(nn.Module):
+    """No colour at all: what depth alone is worth (Table IV)."""
+
+    def __init__(self, geometry: int, color: int, hidden: int) -> None:
+        super().__init__()
+        del color, hidden
+        self.outputs = geometry
+
+    def forward(self, geometry: Tensor, color: Tensor) -> Tensor:
+        del color
+        return geometry
+
+
+FUSERS: dict[str, type[GeometryGuidedFuser | ConcatenationFuser | DenseFuser | GeometryAlone]] = {
+    "gated": GeometryGuidedFuser,
+    "concatenated": ConcatenationFuser,
+    "dense": DenseFuser,
+    "depth": GeometryAlone,
+}

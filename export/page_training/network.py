@@ -22,10 +22,11 @@ from torch.nn import functional
 from page_runtime.category import Category
 from page_runtime.neighbours import LEVELS
 from page_training.canonical import CanonicalRefiner, frames_of
+from page_training.config import Fusion
 from page_training.layers import (
+    FUSERS,
     Dense,
     FeaturePropagation,
-    GeometryGuidedFuser,
     ImageBranch,
     SetAbstraction,
     interpolate_up,
@@ -76,8 +77,9 @@ class PageNetwork(nn.Module):
     unit_keypoints: Tensor
     unit_inverse: Tensor
 
-    def __init__(self, keypoints_unit: Tensor, num_voted: int, image_size: int = 224) -> None:
-        """keypoints_unit: (K,n,3), those of each part in units of its diagonal."""
+    def __init__(self, keypoints_unit: Tensor, num_voted: int, fusion: Fusion = "gated", image_size: int = 224) -> None:
+        """keypoints_unit: (K,n,3), those of each part in units of its diagonal. fusion: how colour joins geometry; all
+        but "gated" are the paper's comparisons."""
         super().__init__()
         num_parts, num_keypoints = keypoints_unit.shape[:2]
         self.num_parts, self.num_keypoints, self.image_size = num_parts, num_keypoints, image_size
@@ -88,7 +90,7 @@ class PageNetwork(nn.Module):
         c4, c8, c16 = self.image_branch.channels
         self.level1 = SetAbstraction(0, 32, 64, radius=0.05)
         self.level2 = SetAbstraction(64, 96, 128, radius=0.1)
-        self.context_fuser = GeometryGuidedFuser(128, c16, 64)
+        self.context_fuser = FUSERS[fusion](128, c16, 64)
         self.level3 = SetAbstraction(self.context_fuser.outputs, 160, 224, radius=0.2)
         self.whole = Dense(224 + 3, 224)
         self.up3 = FeaturePropagation(224, self.context_fuser.outputs, 192)
@@ -101,7 +103,7 @@ class PageNetwork(nn.Module):
         self.refiner = CanonicalRefiner(128, num_parts, num_keypoints, 128)
         self.up1 = FeaturePropagation(128 + 128 + 3 * num_keypoints, 6, 128)
         self.after_up1 = Dense(128, 128)
-        self.fuser = GeometryGuidedFuser(128, c4 + c8, 64)
+        self.fuser = FUSERS[fusion](128, c4 + c8, 64)
         self.head = nn.Sequential(Dense(self.fuser.outputs, 128), Dense(128, 96))
         self.parts = nn.Linear(96, num_parts + 1)
         self.keypoints = nn.Linear(96, 3 * num_keypoints)
@@ -172,7 +174,7 @@ class PageNetwork(nn.Module):
         return self.part_vector[1](share.transpose(1, 2) @ described)
 
 
-def network_for(category: Category) -> PageNetwork:
+def network_for(category: Category, fusion: Fusion = "gated") -> PageNetwork:
     """An untrained network of the category's shape."""
     keypoints_unit = torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).to(torch.float32)
-    return PageNetwork(keypoints_unit, category.num_voted)
+    return PageNetwork(keypoints_unit, category.num_voted, fusion)

@@ -119,7 +119,7 @@ def train(
     workers = join_workers(config.batch_size)
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    network = network_for(category)
+    network = network_for(category, config.fusion)
     network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     earlier_samples, first_step = 0, 0
     checkpoint = run / "checkpoint.pt"
