@@ -69,6 +69,6 @@ def test_a_trained_alternative_is_loaded_as_what_it_is(fusion: Fusion, tmp_path:
     trained = load_trained(checkpoint)
     assert trained.config["fusion"] == fusion
     assert isinstance(trained.network.fuser, FUSERS[fusion])
+    gated = TrainingConfig("box", start_from=str(checkpoint), samples=2, batch_size=2, dense_points=64)
     with pytest.raises(ValueError, match="another network"):
-        gated = TrainingConfig("box", start_from=str(checkpoint), samples=2, batch_size=2, dense_points=64)
         train(gated, BOX, tmp_path, tmp_path / "other", lambda _: None)
