@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from tests.dense_accumulator import dense_votes
 from tests.synthetic_parts import SyntheticPart
 
-from page_runtime.estimator import MAX_VOTERS
+from page_runtime.part_poses import MAX_VOTERS
 from page_runtime.registration import Registration, register_parts
 from page_runtime.scoring import ONE_SIDED, KeypointVotes, score_keypoints, score_parts
 

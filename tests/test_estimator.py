@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from page_runtime import Network, open_source
-from page_runtime.estimator import estimate, pose_from_output, sample_for
+from page_runtime.estimator import estimate, sample_for
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import NetworkOutput
+from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import NotSeen, PartPose
 from page_runtime.sampling import RegionSample
 

@@ -11,9 +11,10 @@ import pytest
 from page_runtime import Network, open_source
 from page_runtime.category import Joint
 from page_runtime.confidence import ConfidenceModel
-from page_runtime.estimator import LOOK_AGAIN_BELOW, MAX_LOOKS, estimate, pose_from_output, sample_for
+from page_runtime.estimator import LOOK_AGAIN_BELOW, MAX_LOOKS, estimate, sample_for
 from page_runtime.mirror import MIRROR, mirrored_pose, mirrored_sample
 from page_runtime.network import NetworkOutput
+from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample

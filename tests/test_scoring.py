@@ -7,7 +7,7 @@ import pytest
 
 from dense_accumulator import dense_votes
 from page_runtime.branch_and_bound import search
-from page_runtime.scoring import ONE_SIDED, TWO_SIDED, KeypointVotes, score_keypoints
+from page_runtime.scoring import ONE_SIDED, TWO_SIDED, KeypointVotes, score_keypoints, score_parts
 from page_runtime.vote_shells import shells_from
 from scoring_problems import EACH_RULE, RULES, RuleName, small_problem
 from synthetic_parts import (
@@ -183,3 +183,19 @@ def test_small_voxels_are_certified_by_default() -> None:
     part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 3), sigma_m=0.005, outliers=0.15)
     for votes in score_keypoints(part.points_camera, part.radii_m, voxel_m=0.002):
         assert votes.gap == 0
+
+
+def test_radii_that_agree_on_nothing_take_their_share_of_the_budget() -> None:
+    rng = np.random.default_rng(8)
+    extents_m = box_extents_m(rng)
+    part = seen_part(rng, extents_m, keypoints_around(rng, extents_m, 1), sigma_m=0.002, outliers=0.1)
+    radii = np.hstack([part.radii_m, rng.uniform(0.1, 1.0, part.radii_m.shape)])
+    budget = 4_000_000
+    whole = score_keypoints(part.points_camera, radii, max_evaluations=budget)
+    ((good, bad),) = score_parts([(part.points_camera, radii)], full_share=0.5, max_evaluations=budget)
+    assert (good.max_votes, good.gap) == (whole[0].max_votes, 0)
+    # Of N voters some hundredths agree, so some hundredths of twice the budget are spent.
+    allowed = 2 * budget * bad.max_votes / len(part.points_camera) + 300 * len(part.points_camera)
+    assert 0 < bad.evaluations <= allowed < whole[1].evaluations
+    assert bad.gap > 0
+    assert bad.max_votes <= whole[1].max_votes + whole[1].gap <= bad.max_votes + bad.gap

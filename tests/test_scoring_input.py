@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from dense_accumulator import dense_votes
-from page_runtime.scoring import ONE_SIDED, KeypointVotes, VoteRule, score_keypoints
+from page_runtime.scoring import ONE_SIDED, KeypointVotes, VoteRule, score_keypoints, score_parts
 from scoring_problems import EACH_RULE, RULES, RuleName
 from synthetic_parts import (
     box_extents_m,
@@ -135,3 +135,9 @@ def test_parts_far_from_the_camera_are_scored(rule: RuleName) -> None:
     dense = dense_votes(points, radii, 0.02, rule=rule)
     assert (votes.max_votes, votes.gap) == (dense.max_votes, 0)
     np.testing.assert_array_equal(votes.ties_camera, dense.ties_camera)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, float("nan")])
+def test_a_share_that_is_none_is_refused(share: float) -> None:
+    with pytest.raises(ValueError, match="full_share: expected a share"):
+        score_parts([], full_share=share)

@@ -9,10 +9,11 @@ import numpy as np
 import torch
 
 from page_runtime.capture.playback import open_source
-from page_runtime.estimator import pose_from_output, sample_for
+from page_runtime.estimator import sample_for
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import OUTPUT_NAMES, Network, NetworkOutput
+from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import PartPose
 from page_runtime.recorded import Source
 from page_training.evaluate import torch_inputs

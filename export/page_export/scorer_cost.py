@@ -11,9 +11,10 @@ import onnxruntime as ort
 
 from page_export.scorer_graph import CENTER, DISTINCT, OUTPUTS
 from page_runtime.capture.playback import open_source
-from page_runtime.estimator import members_of, sample_for, votes_of
+from page_runtime.estimator import sample_for
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput, feeds
+from page_runtime.part_poses import members_of, votes_of
 
 _WARM_UP = 2
 

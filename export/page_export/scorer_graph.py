@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from page_export.onnx_export import OPSET, exported
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
-from page_runtime.estimator import MAX_VOTERS, MIN_PART_POINTS
+from page_runtime.part_poses import MAX_VOTERS, MIN_PART_POINTS
 
 # Of 288 keypoints, half of them with correlated radius errors, the votes were the maximum for 91 % with 64 cells, 98 %
 # with 128, 99 % with 256 and all with 384.

@@ -46,11 +46,14 @@ _MAX_TIES = 2**15
 WINDOW = cube(3) - 1
 
 
-def search(shells: Shells, seeds: FloatArray, max_evaluations: int, deadline: float = math.inf) -> list[Found]:
+def search(
+    shells: Shells, seeds: FloatArray, max_evaluations: int, deadline: float = math.inf, full_share: float = 0.0
+) -> list[Found]:
     """For each of J keypoints the voxels of most votes, level by level from seeds (J, S, 3) m.
 
     Seeds only bound the search; they and the 27 voxels around the best are not part of the budget of max_evaluations
-    for each keypoint. deadline: of `perf_counter`; the levels stop there.
+    for each keypoint. deadline: of `perf_counter`; the levels stop there. full_share: of the votes; a keypoint whose
+    best voxel known before has less gets so much less of its budget.
     """
     starts, start_votes, race = start_race(shells, seeds)
     race.evaluations += starts.shape[1] // len(shells) * shells.num_voters
@@ -68,6 +71,9 @@ def search(shells: Shells, seeds: FloatArray, max_evaluations: int, deadline: fl
     race.offer(window, count(shells, certain, lifted(shells, window, 0), owner), owner)
     race.evaluations += WINDOW.shape[1] * shells.num_voters
     budget = race.evaluations + max_evaluations
+    if full_share > 0.0:
+        worth = np.minimum(race.votes / (full_share * shells.num_voters), 1.0)
+        budget = race.evaluations + (worth * max_evaluations).astype(np.int64)
 
     top, lowest = int(levels.max()), int(levels.min())
     reached, possible, found = top + 1, {}, []

@@ -2,42 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from time import perf_counter
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from page_runtime.alternatives import settle
-from page_runtime.articulation import PartEvidence, articulate
 from page_runtime.bundle import BundleMetadata
-from page_runtime.category import Category, Part
-from page_runtime.confidence import ConfidenceModel, features
 from page_runtime.frame import RgbdFrame
-from page_runtime.geometry import apply
-from page_runtime.icp import refine_to_template
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import Network, NetworkOutput
-from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose, not_seen
-from page_runtime.registration import Ambiguous, Observed, Registration, register_parts
+from page_runtime.network import Network
+from page_runtime.part_poses import members_of, pose_from_output, seen_parts
+from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
-from page_runtime.scoring import KeypointVotes, score_parts
-from page_runtime.template import Template
-from page_runtime.uncertainty import with_common_error
+from page_runtime.stopwatch import Stopwatch
 
-MIN_PART_POINTS = 24
-MAX_VOTERS = 512
-# Of a frame: two to three times what the votes of 2048 points need; a bound where radii agree on nothing.
-MAX_EVALUATIONS = 40_000_000
 # One frame in six has a part below this (validation frames); looking again at the others gained nothing.
 LOOK_AGAIN_BELOW = 0.5
 # How the region is cut out for the second look and the third: none of mirror, tighter and wider crop alone errs as
 # differently as mirror and crop together, and a fourth look gained nothing.
 OTHER_MARGINS = (0.0, 0.25)
 MAX_LOOKS = 1 + len(OTHER_MARGINS)
-STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
 
 
 def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> ArticulatedPose:
@@ -55,7 +39,7 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
         return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
     output = network.run(sample, _neighbours(sample))
     watch.stage("network")
-    if sample.other_depth_m is not None and not _seen(members_of(output, sample.num_distinct)):
+    if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
         # What is nearer is not the object, but something before it.
         behind = sample_for(metadata, frame, region, depth_m=sample.other_depth_m)
         watch.stage("sampling")
@@ -113,190 +97,3 @@ def sample_for(
         margin=margin,
         depth_m=depth_m,
     )
-
-
-def pose_from_output(
-    metadata: BundleMetadata, sample: RegionSample, output: NetworkOutput, watch: Stopwatch | None = None
-) -> ArticulatedPose:
-    """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
-    watch = watch or Stopwatch()
-    points = sample.points_camera[: sample.num_distinct]
-    category = metadata.category
-    members = members_of(output, sample.num_distinct)
-    votes = votes_of(members, points, output, metadata)
-    watch.stage("scoring")
-    observed = [
-        _observed(part, index, points, members[index], votes.get(index), output)
-        for index, part in enumerate(category.parts)
-    ]
-    registered = iter(register_parts([one for one in observed if isinstance(one, Observed)]))
-    registrations = [one if isinstance(one, str) else next(registered) for one in observed]
-    watch.stage("registration")
-    found = [
-        _found(part, one, registration)
-        for part, one, registration in zip(category.parts, observed, registrations, strict=True)
-    ]
-    watch.stage("icp")
-    settled = settle(category, [() if isinstance(one, str) else one.evidence for one in found])
-    taken = [one.evidence if one is not None and one.decided else None for one in settled]
-    articulation = articulate(category, taken)
-    parts: list[PartPose | NotSeen] = []
-    for index, (part, one, choice) in enumerate(zip(category.parts, found, settled, strict=True)):
-        evidence = articulation.parts[index]
-        if isinstance(one, str) or choice is None or evidence is None:
-            parts.append(NotSeen(part.name, one if isinstance(one, str) else one.ambiguity))
-            continue
-        disagreement = float("inf") if choice.turned else _disagreement(index, category, articulation.joints)
-        pose = _part_pose(part, one, one.registrations[choice.index], evidence, disagreement)
-        parts.append(_with_confidence(pose, metadata.confidence))
-    watch.stage("articulation")
-    return ArticulatedPose(tuple(parts), articulation.joints, watch.stage_ms)
-
-
-class Stopwatch:
-    """Adds the wall time since the last call to a stage."""
-
-    def __init__(self) -> None:
-        self.stage_ms: dict[str, float] = dict.fromkeys(map(str, STAGES), 0.0)
-        self.since = perf_counter()
-
-    def stage(self, name: str) -> None:
-        now = perf_counter()
-        self.stage_ms[name] += (now - self.since) * 1e3
-        self.since = now
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Found:
-    """One part by itself: one registration, or two and why neither is the one; evidence of each."""
-
-    votes: tuple[KeypointVotes, ...]
-    registrations: tuple[Registration, ...]
-    evidence: tuple[PartEvidence, ...]
-    ambiguity: str
-    num_points: int
-
-
-def members_of(output: NetworkOutput, num_distinct: int) -> list[NDArray[np.intp]]:
-    """For each part the indices of its points among the first `num_distinct`."""
-    labels = output.part_logits[:num_distinct].argmax(axis=1)
-    return [np.flatnonzero(labels == index) for index in range(output.part_logits.shape[1] - 1)]
-
-
-def _seen(members: Sequence[NDArray[np.intp]]) -> list[int]:
-    """The parts with enough points."""
-    return [index for index, own in enumerate(members) if len(own) >= MIN_PART_POINTS]
-
-
-def votes_of(
-    members: Sequence[NDArray[np.intp]],
-    points_camera: NDArray[np.float32],
-    output: NetworkOutput,
-    metadata: BundleMetadata,
-) -> dict[int, tuple[KeypointVotes, ...]]:
-    """The votes of every part with enough points, by its index; `members` are the points of each part."""
-    num_voted = metadata.category.num_voted
-    seen = _seen(members)
-    # A prefix of the progressive order covers the part evenly.
-    voters = [members[index][:MAX_VOTERS] for index in seen]
-    votes = score_parts(
-        [(points_camera[own], output.radii_m[own, :num_voted]) for own in voters],
-        voxel_m=metadata.voxel_m,
-        max_evaluations=MAX_EVALUATIONS // max(1, num_voted * len(seen)),
-    )
-    return dict(zip(seen, votes, strict=True))
-
-
-def _observed(
-    part: Part,
-    index: int,
-    points_camera: NDArray[np.float32],
-    members: NDArray[np.intp],
-    votes: tuple[KeypointVotes, ...] | None,
-    output: NetworkOutput,
-) -> Observed | str:
-    """What the pose of a part is found from (`members` indexes points and outputs alike), or why there is none."""
-    if votes is None:
-        return f"not seen: {len(members)} of {len(points_camera)} points belong to it, {MIN_PART_POINTS} are needed"
-    extents_m = output.extents_m[index].astype(np.float64)
-    if not (np.isfinite(extents_m).all() and (extents_m > 0.0).all()):
-        return f"the network gives it no size: {extents_m.tolist()} m"
-    return Observed(
-        points_camera[members],
-        output.radii_m[members],
-        part.keypoints_unit,
-        votes,
-        extents_m / np.linalg.norm(extents_m),
-        part.diagonal_range_m,
-        output.side_logits[members],
-    )
-
-
-def _found(part: Part, observed: Observed | str, registration: Registration | Ambiguous | str) -> _Found | str:
-    """One part with its poses fitted to the category's template, or why it has none."""
-    if isinstance(observed, str):
-        return observed
-    if isinstance(registration, str):
-        return registration
-    poses, ambiguity = (
-        (registration.poses, registration.reason) if isinstance(registration, Ambiguous) else ((registration,), "")
-    )
-    extents_unit = np.asarray(observed.extents_unit, np.float64)
-    evidence = tuple(
-        PartEvidence(pose.T_camera_part, pose.scale_m, with_common_error(pose.covariance, pose.scale_m), extents_unit)
-        for pose in poses
-    )
-    if part.template is not None:
-        evidence = tuple(_fitted(one, observed.points_camera, part.template) for one in evidence)
-    return _Found(observed.votes, poses, evidence, ambiguity, len(observed.points_camera))
-
-
-def _fitted(evidence: PartEvidence, points_camera: NDArray[np.floating], template: Template) -> PartEvidence:
-    """By the part's points and the category's template, where that is for the better."""
-    fit = refine_to_template(
-        points_camera,
-        evidence.T_camera_part,
-        evidence.scale_m,
-        evidence.covariance,
-        template,
-        extents_unit=evidence.extents_unit,
-    )
-    if not fit.accepted:
-        return evidence
-    scale_m = float(np.linalg.norm(fit.extents_m))
-    return PartEvidence(fit.T_camera_part, scale_m, fit.covariance, fit.extents_m / scale_m)
-
-
-def _part_pose(
-    part: Part, found: _Found, registration: Registration, evidence: PartEvidence, disagreement: float
-) -> PartPose:
-    """`registration`: the one taken; `evidence`: of the part as its joints allow it."""
-    return PartPose(
-        name=part.name,
-        T_camera_part=evidence.T_camera_part,
-        extents_m=evidence.extents_unit * evidence.scale_m,
-        keypoints_camera=apply(evidence.T_camera_part, evidence.scale_m * part.keypoints_unit),
-        scores=np.array([vote.peaks[0].share if vote.peaks else 0.0 for vote in found.votes]),
-        confidence=registration.inlier_share,
-        inlier_share=registration.inlier_share,
-        runner_up_ratio=registration.runner_up_ratio,
-        vote_gap=max(vote.gap for vote in found.votes),
-        num_points=found.num_points,
-        residual_m=registration.residual_m,
-        covariance=evidence.covariance[:6, :6],
-        disagreement=disagreement,
-    )
-
-
-def _disagreement(index: int, category: Category, states: Sequence[JointState]) -> float:
-    """The largest of part `index`'s joints, 0 where none is known."""
-    known = [
-        state.disagreement
-        for joint, state in zip(category.joints, states, strict=True)
-        if index in (joint.parent, joint.child) and state.disagreement is not None
-    ]
-    return max(known, default=0.0)
-
-
-def _with_confidence(pose: PartPose, model: ConfidenceModel | None) -> PartPose:
-    return pose if model is None else replace(pose, confidence=model.probability(features(pose)))

@@ -117,6 +117,7 @@ def score_parts(
     rival_share: float = 0.95,
     max_evaluations: int = 200_000_000,
     max_seconds: float | None = None,
+    full_share: float = 0.0,
 ) -> tuple[tuple[KeypointVotes, ...], ...]:
     """`score_keypoints` of every part of a frame, sooner than one after the other.
 
@@ -127,7 +128,8 @@ def score_parts(
     need at 10 mm, all of it what they may need at 2 mm. max_seconds: budget of wall time for the call;
     the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or more than
     2^15 voxels share the most votes, the best voxel so far is returned with its gap; with max_seconds that may differ
-    from call to call.
+    from call to call. full_share: a keypoint for which the seeds find no voxel with this share of the votes gets so
+    much less of max_evaluations: certifying what radii that agree on nothing have most of takes longest of all.
 
     A point or radius that is not finite, is negative, or exceeds MAX_RANGE_M does not vote. Fewer than four voters, or
     voters on one line, leave a keypoint undetermined: no peaks, and the reason. Raises ValueError for wrong shapes or
@@ -135,6 +137,8 @@ def score_parts(
     """
     began = perf_counter()
     _check_parameters(voxel_m, rival_share, max_evaluations, max_seconds)
+    if not 0.0 <= full_share <= 1.0:
+        raise ValueError(f"full_share: expected a share in [0, 1], got {full_share}; 0 gives all the whole budget")
     ballots = [_ballot(*_checked(points_camera, radii_m)) for points_camera, radii_m in parts]
     voting = [ballot for ballot in ballots if len(ballot.radii_m)]
     founds: list[Found] = []
@@ -145,7 +149,7 @@ def score_parts(
         seeds = _seeds(thinned, voxel_m)
         shells = shells_from([(ballot.points, ballot.radii_m) for ballot in voting], voxel_m, rule)
         after = _AFTER_SEEDS * (perf_counter() - began)
-        founds = search(shells, thinned.of_keypoints(seeds), max_evaluations, limit - after)
+        founds = search(shells, thinned.of_keypoints(seeds), max_evaluations, limit - after, full_share)
         modes = [Modes(found.voxels, np.full(len(found.voxels), found.votes)) for found in founds]
         if perf_counter() < limit - 0.75 * after:
             founds, modes = _with_rivals(shells, founds, thinned, seeds, rival_share)
