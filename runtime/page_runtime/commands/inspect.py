@@ -31,7 +31,7 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         f"scoring        {category.num_voted} of {category.num_keypoints} keypoints of a part are voted, "
         f"voxels of {metadata.voxel_m * 1e3:g} mm",
         f"region         points within {category.region_radius_m:g} m of its middle",
-        f"mirror         {'trained on mirror images too: asked about one where unlikely' if metadata.mirrored else 'no'}",
+        f"mirror         {'trained on mirror images too' if metadata.mirrored else 'no'}",
     ]
     for k, part in enumerate(category.parts):
         low, high = part.diagonal_range_m
