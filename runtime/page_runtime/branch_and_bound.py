@@ -93,15 +93,18 @@ def search(
         new = _affordable(shells, race, roots(shells, first, last, joining, level), budget, 1)
         cells = _descended(shells, possible[level], parents, new, level, race, deadline)
         if level:
-            cells = _probed(shells, certain, cells, level, race)
+            if perf_counter() < deadline:
+                cells = _probed(shells, certain, cells, level, race)
             # Roots join the others as long as there is one batch.
             batches = _batches(cells, race) if level <= lowest else [cells]
             pending += [(level - 1, batch) for batch in batches]
-        elif perf_counter() >= deadline:
-            race.leave(cells)
-        else:
-            found.append(_counted(shells, certain, cells, race, deadline))
-            budget[ties_of(found, race) > _MAX_TIES] = 0
+            continue
+        for block in _blocks(shells, cells, 1):
+            if perf_counter() >= deadline:
+                race.leave(cells[slice(block.start, None)])
+                break
+            found.append(_counted(shells, certain, cells[block], race, deadline))
+        budget[ties_of(found, race) > _MAX_TIES] = 0
     late = levels < reached
     race.unsearched[late] = shells.num_voters[late]
     return founds_of(shells, found, race, starts, start_votes)
