@@ -6,7 +6,6 @@ import os
 import subprocess
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from benchmarks.steps import (
 from benchmarks.synthetic import KEYPOINT_DISTANCE_M
 from benchmarks.trials import RULES
 
-from page_runtime.bench import PAPER_MS, cpu_name, versions
+from page_runtime.bench import PACKAGES, PAPER_MS, cpu_name, versions
 from page_runtime.commands.outputs import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,13 +77,7 @@ def fingerprint() -> str:
 
 
 def _versions() -> dict[str, str]:
-    found = versions()
-    for package in ("numba", "matplotlib"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    return versions((*PACKAGES, "numba", "matplotlib"))
 
 
 def machine() -> dict[str, Any]:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 import toy
+
+if TYPE_CHECKING:
+    from page_runtime import Network
+    from page_runtime.recorded import RecordedFrame
+    from page_runtime.sampling import RegionSample
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -28,6 +34,22 @@ def oracle_bundle(tmp_path_factory: pytest.TempPathFactory, toy_recording: Path)
     assert region is not None
     path = tmp_path_factory.mktemp("bundles") / "box.onnx"
     return toy.write_oracle_bundle(path, recorded.frame, region, toy.part_poses())
+
+
+@pytest.fixture(scope="session")
+def toy_sample(oracle_bundle: Path, toy_recording: Path) -> tuple[Network, RegionSample, RecordedFrame]:
+    """The toy's bundle, its first frame and the points of the object's region. Read only."""
+    from page_runtime import Network, open_source
+    from page_runtime.estimator import sample_for
+    from page_runtime.sampling import RegionSample
+
+    network = Network(oracle_bundle, threads=1)
+    recorded = open_source(toy_recording).entries[0].read()
+    region = recorded.instances[0].region
+    assert region is not None
+    sample = sample_for(network.metadata, recorded.frame, region)
+    assert isinstance(sample, RegionSample)
+    return network, sample, recorded
 
 
 @pytest.fixture(scope="session")

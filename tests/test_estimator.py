@@ -14,20 +14,16 @@ from page_runtime.neighbours import find_neighbours
 from page_runtime.network import NetworkOutput
 from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import NotSeen, PartPose
+from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def answered(oracle_bundle: Path, toy_recording: Path) -> tuple[Network, RegionSample, NetworkOutput]:
+def answered(toy_sample: tuple[Network, RegionSample, RecordedFrame]) -> tuple[Network, RegionSample, NetworkOutput]:
     """The toy's bundle, its sample and the bundle's exact answer."""
-    network = Network(oracle_bundle, threads=1)
-    recorded = open_source(toy_recording).entries[0].read()
-    region = recorded.instances[0].region
-    assert region is not None
-    sample = sample_for(network.metadata, recorded.frame, region)
-    assert isinstance(sample, RegionSample)
+    network, sample, _ = toy_sample
     return network, sample, network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
 
 

@@ -11,7 +11,7 @@ import pytest
 from page_runtime import Network, open_source
 from page_runtime.category import Joint
 from page_runtime.confidence import ConfidenceModel
-from page_runtime.estimator import LOOK_AGAIN_BELOW, MAX_LOOKS, estimate, sample_for
+from page_runtime.estimator import LOOK_AGAIN_BELOW, MAX_LOOKS, estimate
 from page_runtime.mirror import MIRROR, mirrored_pose, mirrored_sample
 from page_runtime.network import NetworkOutput
 from page_runtime.part_poses import pose_from_output
@@ -23,25 +23,14 @@ from toy import CATEGORY, EXTENTS_M, KEYPOINTS_UNIT
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(scope="module")
-def seen(oracle_bundle: Path, toy_recording: Path) -> tuple[Network, RegionSample, RecordedFrame]:
-    network = Network(oracle_bundle, threads=1)
-    recorded = open_source(toy_recording).entries[0].read()
-    region = recorded.instances[0].region
-    assert region is not None
-    sample = sample_for(network.metadata, recorded.frame, region)
-    assert isinstance(sample, RegionSample)
-    return network, sample, recorded
-
-
 def _same(one: PartPose, other: PartPose) -> None:
     assert np.allclose(one.T_camera_part, other.T_camera_part, atol=1e-12)
     assert np.allclose(one.keypoints_camera, other.keypoints_camera, atol=1e-12)
     assert np.allclose(one.covariance, other.covariance, rtol=1e-12, atol=0.0)
 
 
-def test_twice_mirrored_is_as_before(seen: tuple[Network, RegionSample, RecordedFrame]) -> None:
-    _, sample, _ = seen
+def test_twice_mirrored_is_as_before(toy_sample: tuple[Network, RegionSample, RecordedFrame]) -> None:
+    _, sample, _ = toy_sample
     twice = mirrored_sample(mirrored_sample(sample))
     for name in ("image", "points_camera", "center_camera", "source_index"):
         assert np.array_equal(getattr(twice, name), getattr(sample, name)), name
@@ -49,8 +38,10 @@ def test_twice_mirrored_is_as_before(seen: tuple[Network, RegionSample, Recorded
     assert np.allclose(twice.camera.K, sample.camera.K)
 
 
-def test_points_of_the_mirrored_sample_lie_at_its_pixels(seen: tuple[Network, RegionSample, RecordedFrame]) -> None:
-    _, sample, _ = seen
+def test_points_of_the_mirrored_sample_lie_at_its_pixels(
+    toy_sample: tuple[Network, RegionSample, RecordedFrame],
+) -> None:
+    _, sample, _ = toy_sample
     mirrored = mirrored_sample(sample)
     assert np.allclose(mirrored.camera.project(mirrored.points_camera), mirrored.pixels, atol=0.01)
     u, v = np.round(mirrored.pixels).astype(int).T
@@ -84,9 +75,9 @@ def _mirror_answer(sample: RegionSample, recorded: RecordedFrame) -> NetworkOutp
 
 
 def test_the_exact_answer_about_the_mirror_image_gives_the_exact_pose(
-    seen: tuple[Network, RegionSample, RecordedFrame],
+    toy_sample: tuple[Network, RegionSample, RecordedFrame],
 ) -> None:
-    network, sample, recorded = seen
+    network, sample, recorded = toy_sample
     image = pose_from_output(network.metadata, mirrored_sample(sample), _mirror_answer(sample, recorded))
     pose = mirrored_pose(image, network.metadata.category)
     truths = recorded.instances[0].truths

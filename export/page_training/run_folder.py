@@ -11,7 +11,6 @@ import platform
 import subprocess
 import sys
 from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.bench import versions
 from page_training.config import TrainingConfig
 from page_training.records import SCENES_VERSION
 
@@ -65,12 +65,6 @@ def validation_totals(run: Path, step: int) -> list[float]:
 
 
 def _environment() -> dict[str, Any]:
-    versions = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = "not installed as a package"
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True, timeout=10
@@ -81,7 +75,7 @@ def _environment() -> dict[str, Any]:
         "command": sys.argv[1:],
         "commit": described,
         "scenes_version": SCENES_VERSION,
-        "versions": versions,
+        "versions": versions(_PACKAGES),
         "machine": platform.machine(),
     }
 
