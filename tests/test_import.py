@@ -136,6 +136,18 @@ def test_training_draws_from_both_caches_by_their_share(imported: Path, tmp_path
     assert not torch.equal(weights[0.0, 0], weights[0.0, 1])
 
 
+def test_a_run_without_samples_to_draw_is_refused_before_it_begins(
+    imported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more, sentence in (
+        (["--cache", str(tmp_path / "none")], "run page-train scenes first"),
+        (["--cache", str(imported), "--also", str(tmp_path / "none")], "run page-train import first"),
+    ):
+        assert main(["pose", "box", "--run", str(tmp_path / "run"), *more]) == 2
+        assert sentence in capsys.readouterr().err
+        assert not (tmp_path / "run").exists()
+
+
 def test_a_checkpoint_is_evaluated_by_object(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from page_runtime.bundle import category_document
 
@@ -158,6 +170,10 @@ def test_a_checkpoint_is_evaluated_by_object(dataset: Path, tmp_path: Path, caps
     assert "untrained.pt" in capsys.readouterr().out
     assert main([*arguments, "--objects", "3"]) == 2
     assert "expected a --layout" in capsys.readouterr().err
+    assert main([*arguments, "--json", str(tmp_path / "nowhere" / "f.json")]) == 2
+    assert "no folder" in capsys.readouterr().err
+    assert main([*arguments, "--layout", "artimage"]) == 2
+    assert "expected a data set of layout ArtImage" in capsys.readouterr().err
 
 
 def test_the_real_sample_becomes_samples(shared_data: Path) -> None:

@@ -106,20 +106,22 @@ def _source(options: argparse.Namespace) -> Source:
     from page_runtime.capture.playback import open_source
     from page_training.datasets.samples import objects_of, only_objects, open_labelled
 
-    if not (options.objects or options.without):
-        return open_source(options.dataset)
     if options.layout is None:
-        raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
+        if options.objects or options.without:
+            raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
+        return open_source(options.dataset)
     annotated, source = open_labelled(options.dataset, options.layout)
     return only_objects(annotated, source, _chosen(list(objects_of(annotated)), options))
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    from page_runtime.commands.outputs import require_file_place
     from page_runtime.commands.validate import readable
     from page_training.evaluate import evaluate
     from page_training.templates import with_templates
     from page_training.trained import load_trained
 
+    require_file_place(options.json, option="--json")
     trained = load_trained(options.checkpoint)
     source = _source(options)
     with progress_bar() as progress:

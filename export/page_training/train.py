@@ -70,21 +70,25 @@ def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> l
     return [shards[s][rng.integers(len(shards[s]))] for s in shard]
 
 
-def _shards_for(cache: Path, category: Category) -> list[NDArray[Any]]:
+def _shards_for(cache: Path, category: Category, maker: str = "scenes") -> list[NDArray[Any]]:
     shards = open_shards(cache, category.name, "train")
     if not shards:
-        raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train scenes first")
+        raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train {maker} first")
     return shards
 
 
 def _batches(
-    config: TrainingConfig, category: Category, cache: Path, first_step: int, steps: int, workers: Workers
+    config: TrainingConfig,
+    category: Category,
+    cache: Path,
+    also: list[NDArray[Any]],
+    steps: range,
+    workers: Workers,
 ) -> Iterator[tuple[int, Batch]]:
     """This worker's rows of batch number `step`, which depend only on the seed, the step, the number of workers and the
     cached frames, so a resumed run repeats them."""
     shards = _shards_for(cache, category)
-    also = [] if config.also_from is None else _shards_for(Path(config.also_from), category)
-    for step in range(first_step, steps):
+    for step in steps:
         if step % 200 == 0:
             shards = _shards_for(cache, category)
         rng = np.random.default_rng([config.seed, step])
@@ -140,6 +144,8 @@ def train(
         for optimizer, saved in zip(optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(saved)
     steps = math.ceil(config.samples / config.batch_size)
+    _shards_for(cache, category)
+    also = [] if config.also_from is None else _shards_for(Path(config.also_from), category, "import")
     if workers.first:
         begin(run, config)
     totals = validation_totals(run, first_step)
@@ -149,7 +155,7 @@ def train(
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
-    for step, batch in _batches(config, category, cache, first_step, steps, workers):
+    for step, batch in _batches(config, category, cache, also, range(first_step, steps), workers):
         set_learning_rate(optimizers, step, steps, config)
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)

@@ -124,10 +124,10 @@ def score_parts(
     parts: for each, points_camera (N, 3) m and radii_m (N, n) m, taken as float32; N and n may differ. voxel_m: rho.
     rule: which voxels get a vote. rival_share: modes with this share of the maximum are reported too, so that the
     mirror image of a planar part's keypoint (METHOD 12) is seen. max_evaluations: budget of
-    distance tests for each keypoint, beyond some 300 N for its seeds; a thousandth of the default is what 512 points
-    need at 10 mm, all of it what they may need at 2 mm. max_seconds: budget of wall time for the call;
-    the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or more than
-    2^15 voxels share the most votes, the best voxel so far is returned with its gap; with max_seconds that may differ
+    distance tests for each keypoint, beyond some 300 N for its seeds; 512 points need 0.2 to 0.8 million at 10 mm in
+    the median, 5 to 28 million at 2 mm, where all of the default may be needed. max_seconds: budget of wall time for
+    the call; the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or
+    more than 2^15 voxels share the most votes, the best voxel so far is returned with its gap; with max_seconds that may differ
     from call to call. full_share: a keypoint for which the seeds find no voxel with this share of the votes gets so
     much less of max_evaluations: certifying what radii that agree on nothing have most of takes longest of all.
 
