@@ -128,8 +128,8 @@ def score_parts(
     the median, 5 to 28 million at 2 mm, where all of the default may be needed. max_seconds: budget of wall time for
     the call; the seeds are found whatever it is, which takes 2 ms for a part and 4 ms for seven. When one is spent, or
     more than 2^15 voxels share the most votes, the best voxel so far is returned with its gap; with max_seconds that
-    may differ from call to call. full_share: a keypoint for which the seeds find no voxel with this share of the votes gets so
-    much less of max_evaluations: certifying what radii that agree on nothing have most of takes longest of all.
+    may differ from call to call. full_share: a keypoint for which the seeds find no voxel with this share of the votes
+    gets so much less of max_evaluations: certifying what radii that agree on nothing have most of takes longest of all.
 
     A point or radius that is not finite, is negative, or exceeds MAX_RANGE_M does not vote. Fewer than four voters, or
     voters on one line, leave a keypoint undetermined: no peaks, and the reason. Raises ValueError for wrong shapes or
