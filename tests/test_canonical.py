@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from page_runtime.similarity import so3_exp
-from page_training.canonical import CanonicalRefiner, PartFrames, frames_of
+from page_training.canonical import CanonicalRefiner, PartFrames, frames_of, with_normal
 from page_training.keypoints import off_surface_keypoints
 
 UNIT = torch.from_numpy(off_surface_keypoints()).float().repeat(2, 1, 1)
@@ -71,3 +71,15 @@ def test_a_look_is_the_same_from_everywhere() -> None:
     here = refiner(guess, points, known, probabilities)
     there = refiner(moved, motion.place(points.unsqueeze(1)).squeeze(1), known, probabilities)
     torch.testing.assert_close(there, here, atol=1e-3, rtol=1e-3)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_three_keypoints_hold_a_frame_with_the_normal_of_their_triangle(seed: int) -> None:
+    three = UNIT[:, :3]
+    unit = with_normal(three)
+    inverse = torch.linalg.pinv(unit - unit.mean(dim=1, keepdim=True))
+    truth = similarity(seed)
+    found = frames_of(with_normal(truth.place(three)), inverse, unit)
+    torch.testing.assert_close(found.axes, truth.axes, atol=5e-5, rtol=0)
+    torch.testing.assert_close(found.origin, truth.origin, atol=5e-5, rtol=0)

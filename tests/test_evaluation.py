@@ -176,3 +176,21 @@ def test_figures_that_do_not_exist_are_null_and_never_nan(errors: list[PartError
 def test_truth_of_other_parts_is_refused() -> None:
     with pytest.raises(ValueError, match="expected the parts base of the bundle, got lid"):
         part_errors(ArticulatedPose((estimate(np.eye(4)),), (), {}), [truth(name="lid")])
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.tuples(st.floats(0.1, 1.0), st.floats(0.0, 3.0)), min_size=1, max_size=40))
+def test_occlusion_levels_share_the_parts_out_between_them(parts: list[tuple[float, float]]) -> None:
+    errors = [PartError("lid", angle, 0.01, 0.5, 0.3, visible) for visible, angle in parts]
+    figures = summarise(errors, "lid")
+    levels = figures["by_occlusion"]
+    assert sum(level["visible"] for level in levels) == figures["visible"] == len(parts)
+    for level in levels:
+        low, high = level["occlusion"]
+        own = [error for error in errors if low <= 1.0 - (error.visible_share or 0.0) < high]
+        expected = summarise(own, "lid")
+        assert level == {"occlusion": [low, high], **{name: expected[name] for name in level if name != "occlusion"}}
+
+
+def test_parts_whose_visible_share_nobody_measured_are_of_no_occlusion_level() -> None:
+    assert summarise([PartError("lid", 0.1, 0.01, 0.5, 0.3)], "lid")["by_occlusion"] == []

@@ -16,12 +16,12 @@ from page_training.records import shard_path
 from page_training.workers import Workers, join_workers
 
 
-def trained(cache: Path, run: Path, processes: int) -> dict:
+def trained(cache: Path, run: Path, processes: int, *more: str) -> dict:
     """The last line of the history of a short training by so many processes."""
     train = ["--cache", str(cache), "--run", str(run), "--samples", "96", "--batch-size", "4", "--threads", "1"]
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"]
     done = subprocess.run(
-        [*torchrun, "-m", "--", "page_training.cli", "pose", "box", *train],
+        [*torchrun, "-m", "--", "page_training.cli", "pose", "box", *train, *more],
         capture_output=True,
         text=True,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
@@ -40,6 +40,8 @@ def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
     # Each worker augments its rows by itself, so the losses are alike, not equal.
     for kind in ("losses", "validation"):
         assert two[kind]["total"] == pytest.approx(one[kind]["total"], rel=0.1)
+    # A network whose image branch has no gradient can be shared, too.
+    assert trained(tmp_path, tmp_path / "depth", 2, "--fusion", "depth")["step"] == 24
 
 
 GRADIENTS = """
@@ -51,7 +53,7 @@ from page_training.workers import join_workers
 workers = join_workers(8)
 torch.manual_seed(0)
 network, rows = nn.Sequential(nn.Linear(5, 4), nn.Tanh(), nn.Linear(4, 1)), torch.randn(8, 5)
-module = workers.joined(network)
+module = workers.joined(network, all_used=True)
 module(torch.from_numpy(workers.rows(rows.numpy()))).square().mean().backward()
 means = workers.means({"rank": float(workers.rank)})
 torch.save(([p.grad for p in network.parameters()], means), f"{sys.argv[1]}/{workers.rank}.pt")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from page_runtime.category import Category
+from page_runtime.neighbours import find_neighbours
 from page_training.config import Augmentation
 from page_training.losses import Targets
 from page_training.network import NetworkInputs
@@ -31,6 +32,18 @@ def _turns(generator: torch.Generator, batch: int, sigma: float) -> Tensor:
     zero = torch.zeros_like(x)
     skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).view(-1, 3, 3)
     return torch.linalg.matrix_exp(skew)
+
+
+def _jitter(points: Tensor, tables: list[Tensor], generator: torch.Generator, settings: Augmentation) -> None:
+    """Noise on the points (B,N,3) of some rows, in place, with the neighbours the runtime would find then."""
+    for row in (
+        (torch.rand(len(points), generator=generator) < settings.jitter_probability).nonzero().flatten().tolist()
+    ):
+        sigma_m = settings.jitter_limit_m * torch.rand(1, generator=generator).square()
+        points[row] += sigma_m * torch.randn(points.shape[1:], generator=generator)
+        found = find_neighbours((points[row] - points[row].mean(dim=0)).numpy())
+        for name, table in zip(NEIGHBOUR_TABLES, tables, strict=True):
+            table[row] = torch.from_numpy(getattr(found, name).astype(np.int64))
 
 
 def _augment_image(image: Tensor, generator: torch.Generator, settings: Augmentation) -> Tensor:
@@ -81,6 +94,7 @@ def make_batch(
     T_center_part = torch.from_numpy(records["T_center_part"].copy())
     extents_m = torch.from_numpy(records["extents_m"].copy())
     R, t = T_center_part[..., :3, :3], T_center_part[..., :3, 3]
+    tables = [torch.from_numpy(records[name].astype(np.int64)) for name in NEIGHBOUR_TABLES]
     batch = len(records)
     if augmentation is not None:
         image = _augment_image(image, generator, augmentation)
@@ -93,6 +107,7 @@ def make_batch(
         turn = _turns(generator, batch, augmentation.turn_sigma_rad) @ mirror
         scale = (augmentation.scale_sigma * torch.randn(batch, generator=generator)).exp().view(-1, 1, 1)
         points = scale * (points @ turn.transpose(1, 2))
+        _jitter(points, tables, generator, augmentation)
         normals = normals @ turn.transpose(1, 2)
         t = scale * (t @ turn.transpose(1, 2))
         R = turn.unsqueeze(1) @ R @ mirror.unsqueeze(1)
@@ -110,7 +125,6 @@ def make_batch(
     dense_normals = torch.take_along_dim(normals, dense.unsqueeze(-1), dim=1)
     facing = (offset[:, :, : category.num_voted] * dense_normals.unsqueeze(2)).sum(-1)
     unit = category.region_radius_m
-    tables = [torch.from_numpy(records[name].astype(np.int64)) for name in NEIGHBOUR_TABLES]
     return Batch(
         inputs=NetworkInputs(image.contiguous(memory_format=torch.channels_last), points / unit, pixels, *tables),
         targets=Targets(

@@ -54,6 +54,17 @@ def frames_of(keypoints: Tensor, inverse: Tensor, unit: Tensor) -> PartFrames:
     return PartFrames(axes, mean.squeeze(2) - (unit.mean(dim=1, keepdim=True) @ axes).squeeze(2))
 
 
+def with_normal(keypoints: Tensor) -> Tensor:
+    """(...,n,3) keypoints and one more, off the plane of the first three by the root of twice their triangle's area.
+
+    Keypoints in one plane hold no frame by a linear map; with this point they do, on the side their order says.
+    """
+    first, second, third = keypoints[..., 0, :], keypoints[..., 1, :], keypoints[..., 2, :]
+    normal = torch.linalg.cross(second - first, third - first, dim=-1)
+    length = normal.square().sum(dim=-1, keepdim=True).clamp_min(1e-12).sqrt()
+    return torch.cat([keypoints, ((first + second + third) / 3.0 + normal / length.sqrt()).unsqueeze(-2)], dim=-2)
+
+
 class CanonicalRefiner(nn.Module):
     """One look at the object from each part's guessed frame.
 

@@ -16,6 +16,7 @@ import numpy as np
 from page_training import dataset_commands
 from page_training.categories import CATEGORIES, category_named
 from page_training.config import Fusion, TrainingConfig
+from page_training.keypoints import METHODS, read_keypoints, write_keypoints
 from page_training.records import SHARD_SIZE, SPLITS
 from page_training.terminal import progress_bar, say
 
@@ -68,6 +69,15 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument("--threads", type=int, default=defaults.threads)
     pose.add_argument("--seed", type=int, default=defaults.seed)
     pose.add_argument("--fusion", choices=get_args(Fusion), default=defaults.fusion, help="default: %(default)s")
+    pose.add_argument("--keypoints", type=Path, metavar="FILE", help="of page-train keypoints --out, all of them voted")
+    pose.add_argument(
+        "--tau",
+        type=float,
+        nargs=2,
+        metavar=("SEGMENTATION", "RADIUS"),
+        default=(defaults.segmentation_weight, defaults.radius_weight),
+        help="weights of the two losses of Eq. 19 (default: %(default)s)",
+    )
     pose.add_argument("--cache", type=Path, default=DEFAULT_CACHE)
     pose.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
     pose.add_argument(
@@ -88,6 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     keypoints.add_argument("--instances", type=int, default=96, help="objects learned from (default: %(default)s)")
     keypoints.add_argument("--picture", type=Path, help="a .png file of all of them on several instances")
     keypoints.add_argument("--json", type=Path, metavar="FILE", help="keypoints and figures")
+    keypoints.add_argument("--out", type=Path, metavar="FILE", help="the keypoints of --method, for page-train pose")
+    keypoints.add_argument("--method", choices=METHODS, default=METHODS[0], help="default: %(default)s")
     keep = command("keep", _keep, "keep the averaged network of a run: small enough to commit")
     keep.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
     keep.add_argument("--out", type=Path, required=True, help="a .pt file")
@@ -130,6 +142,8 @@ def _pose(options: argparse.Namespace) -> None:
     config = TrainingConfig(
         category=options.category,
         fusion=options.fusion,
+        segmentation_weight=options.tau[0],
+        radius_weight=options.tau[1],
         samples=options.samples,
         batch_size=options.batch_size,
         learning_rate=options.learning_rate,
@@ -141,6 +155,9 @@ def _pose(options: argparse.Namespace) -> None:
         halve_every=options.halve_every,
         patience=options.patience,
     )
+    category = category_named(options.category)
+    if options.keypoints is not None:
+        category = read_keypoints(options.keypoints, category)
     run = options.run or DEFAULT_RUNS / options.category
     first = join_workers(config.batch_size).first
     with progress_bar() as progress, _events(run / "events" if options.tensorboard and first else None) as events:
@@ -156,7 +173,7 @@ def _pose(options: argparse.Namespace) -> None:
             if events is not None:
                 events.add(news)
 
-        checkpoint = train(config, category_named(options.category), options.cache, run, report)
+        checkpoint = train(config, category, options.cache, run, report)
     if first:
         print(checkpoint)
 
@@ -198,7 +215,7 @@ def _keypoints(options: argparse.Namespace) -> None:
             task = progress.add_task(f"part {k}", total=config.steps)
             learned, spread = estimate_keypoints(cloud, config, lambda *_, task=task: progress.advance(task))
             say(f"part {k}: learned keypoints differ by {spread:.4f} diagonals between instances")
-            for name, found in {"KP-Estimator": learned, **heuristics(cloud, options.count)}.items():
+            for name, found in {METHODS[0]: learned, **heuristics(cloud, options.count)}.items():
                 methods.setdefault(name, []).append(found)
                 figures = figures_of(found, cloud)
                 rows.append({"part": k, "method": name, "keypoints_unit": found.tolist(), **asdict(figures)})
@@ -209,6 +226,9 @@ def _keypoints(options: argparse.Namespace) -> None:
                 )
     if options.json is not None:
         options.json.write_text(json.dumps(rows, indent=2) + "\n")
+    if options.out is not None:
+        write_keypoints(options.out, category_named(options.category), methods[options.method])
+        print(options.out)
     if options.picture is not None:
         drawn = cv2.cvtColor(picture_of(methods, clouds), cv2.COLOR_RGB2BGR)
         if not cv2.imwrite(str(options.picture), drawn):

@@ -8,6 +8,8 @@ from typing import Literal, get_args
 Fusion = Literal["gated", "concatenated", "dense", "depth"]
 # rho of the scorer in bundles and evaluations: of the size of the radii's errors.
 VOXEL_M = 0.005
+SEGMENTATION_WEIGHT = 0.25
+RADIUS_WEIGHT = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,12 +17,15 @@ class Augmentation:
     """How far a sample is changed. The probabilities and sigmas were set once by eye, not tuned.
 
     scale_sigma: of the object's size (its distance follows, so the picture stays right). turn_sigma_rad: of a small
-    rotation of the points alone. colour: gains and offsets of the picture.
+    rotation of the points alone. jitter: share of samples whose points get independent noise of a standard deviation up
+    to jitter_limit_m, small ones more often, and their neighbours anew. colour: gains and offsets of the picture.
     """
 
     flip_probability: float = 0.5
     scale_sigma: float = 0.08
     turn_sigma_rad: float = 0.12
+    jitter_probability: float = 0.12
+    jitter_limit_m: float = 0.03
     gain_sigma: float = 0.25
     tint_sigma: float = 0.12
     offset_sigma: float = 0.08
@@ -34,7 +39,8 @@ class Augmentation:
 class TrainingConfig:
     """Everything a run depends on besides the cached frames.
 
-    fusion: how colour joins geometry; all but "gated" are the paper's comparisons. samples: frames seen in all, repeats
+    fusion: how colour joins geometry; all but "gated" are the paper's comparisons. segmentation_weight,
+    radius_weight: tau 1 and 2 of Eq. 19. samples: frames seen in all, repeats
     included. start_from: a checkpoint or kept weights whose averaged network this run begins with, instead of random
     weights. also_from: a second cache, that of `page-train import`, and also_share, the share of samples drawn from it.
     halve_every: samples after which the learning rate halves (the paper: 20 epochs
@@ -43,6 +49,8 @@ class TrainingConfig:
 
     category: str
     fusion: Fusion = "gated"
+    segmentation_weight: float = SEGMENTATION_WEIGHT
+    radius_weight: float = RADIUS_WEIGHT
     samples: int = 100_000
     batch_size: int = 12
     dense_points: int = 512
@@ -77,5 +85,10 @@ class TrainingConfig:
                 raise ValueError(f"{name}: expected at least 1, got {value}")
         if self.fusion not in get_args(Fusion):
             raise ValueError(f"fusion: expected one of {', '.join(get_args(Fusion))}, got {self.fusion!r}")
+        if min(self.segmentation_weight, self.radius_weight) <= 0.0:
+            raise ValueError(
+                f"segmentation_weight, radius_weight: expected > 0, got {self.segmentation_weight} and "
+                f"{self.radius_weight}"
+            )
         if not 0.0 <= self.also_share <= 1.0:
             raise ValueError(f"also_share: expected a share in [0, 1], got {self.also_share}")

@@ -32,6 +32,9 @@ def add_to(commands: Any) -> None:
     evaluate = _command(commands, "evaluate", _evaluate, "compare a checkpoint's poses with true ones")
     evaluate.add_argument("checkpoint", type=Path, help="of page-train pose or keep")
     _dataset(evaluate, layout_required=False)
+    evaluate.add_argument(
+        "--regressed", action="store_true", help="poses from the keypoints regressed for each part, not from scoring"
+    )
     evaluate.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
 
 
@@ -117,7 +120,8 @@ def _source(options: argparse.Namespace) -> Source:
 def _evaluate(options: argparse.Namespace) -> None:
     from page_runtime.commands.outputs import require_file_place
     from page_runtime.commands.validate import readable
-    from page_training.evaluate import evaluate
+    from page_training.evaluate import evaluate, scored_pose
+    from page_training.regressed import regressed_pose
     from page_training.templates import with_templates
     from page_training.trained import load_trained
 
@@ -126,7 +130,13 @@ def _evaluate(options: argparse.Namespace) -> None:
     source = _source(options)
     with progress_bar() as progress:
         task = progress.add_task("evaluating", total=len(source))
-        document = evaluate(trained.network, with_templates(trained.category), source, lambda: progress.advance(task))
+        document = evaluate(
+            trained.network,
+            with_templates(trained.category),
+            source,
+            lambda: progress.advance(task),
+            pose_of=regressed_pose if options.regressed else scored_pose,
+        )
     document |= {"bundle": options.checkpoint.name, "samples": trained.samples}
     if options.json is not None:
         options.json.write_text(json.dumps(document, indent=2) + "\n")

@@ -19,8 +19,10 @@ from page_runtime.pose import ArticulatedPose, not_seen
 from page_runtime.recorded import PartTruth, Source
 from page_runtime.sampling import RegionSample
 from page_training.config import VOXEL_M
-from page_training.network import NetworkInputs, PageNetwork
+from page_training.network import NetworkInputs, NetworkOutputs, PageNetwork
 from page_training.records import IMAGE_SIZE
+
+PoseOf = Callable[[BundleMetadata, RegionSample, NetworkOutputs], ArticulatedPose]
 
 
 def metadata_for(category: Category) -> BundleMetadata:
@@ -35,18 +37,36 @@ def torch_inputs(metadata: BundleMetadata, sample: RegionSample, neighbours: Nei
 
 
 @torch.no_grad()
+def outputs_of(network: PageNetwork, sample: RegionSample, metadata: BundleMetadata) -> NetworkOutputs:
+    """All the network says of a sample."""
+    neighbours = find_neighbours(sample.points_camera - sample.center_camera)
+    return network(torch_inputs(metadata, sample, neighbours))
+
+
 def answer(network: PageNetwork, sample: RegionSample, metadata: BundleMetadata) -> NetworkOutput:
     """What the network says of a sample, as the runtime's session gives it."""
-    neighbours = find_neighbours(sample.points_camera - sample.center_camera)
-    outputs = network(torch_inputs(metadata, sample, neighbours))
+    return _as_session(outputs_of(network, sample, metadata), metadata)
+
+
+def _as_session(outputs: NetworkOutputs, metadata: BundleMetadata) -> NetworkOutput:
     values = tuple(getattr(outputs, name).numpy() for name in OUTPUT_NAMES)
     return NetworkOutput.from_graph(values, metadata.category.region_radius_m)
 
 
+def scored_pose(metadata: BundleMetadata, sample: RegionSample, outputs: NetworkOutputs) -> ArticulatedPose:
+    """The poses the runtime finds from the network's radii."""
+    return pose_from_output(metadata, sample, _as_session(outputs, metadata))
+
+
 def evaluate(
-    network: PageNetwork, category: Category, source: Source, on_frame: Callable[[], None] = lambda: None
+    network: PageNetwork,
+    category: Category,
+    source: Source,
+    on_frame: Callable[[], None] = lambda: None,
+    pose_of: PoseOf = scored_pose,
 ) -> dict[str, Any]:
-    """The figures of `page-runtime validate` of every instance with a region and true poses.
+    """The figures of `page-runtime validate` of every instance with a region and true poses, by `scored_pose` or
+    `regressed.regressed_pose`.
 
     ValueError for frames of another category or without truth.
     """
@@ -66,7 +86,7 @@ def evaluate(
             if isinstance(sample, str):
                 pose = not_seen(category, sample)
             else:
-                pose = pose_from_output(metadata, sample, answer(network, sample, metadata))
+                pose = pose_of(metadata, sample, outputs_of(network, sample, metadata))
             compared.append((pose, instance.truths))
         on_frame()
     return {"recording": source.path.name, "frames": len(source), **figures_of(category, compared)}

@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from page_training.config import RADIUS_WEIGHT, SEGMENTATION_WEIGHT
 from page_training.network import NetworkOutputs
 
-SEGMENTATION_WEIGHT = 0.25
-RADIUS_WEIGHT = 0.75
 # Parts are described by the points the coarse head gives them, so nothing is learned of parts before it is right:
 # at 0.1 the keypoint error after 250 steps of memorising was two fifths larger.
 COARSE_WEIGHT = 0.5
@@ -52,8 +51,15 @@ def part_weights(labels: Tensor, num_parts: int) -> Tensor:
     return weights / (counts >= MIN_PART_POINTS).sum().clamp_min(1)
 
 
-def page_loss(outputs: NetworkOutputs, targets: Targets) -> dict[str, Tensor]:
-    """Every term and their weighted sum, "total". Lengths count in tenths of the part's diagonal."""
+def page_loss(
+    outputs: NetworkOutputs,
+    targets: Targets,
+    *,
+    segmentation_weight: float = SEGMENTATION_WEIGHT,
+    radius_weight: float = RADIUS_WEIGHT,
+) -> dict[str, Tensor]:
+    """Every term and their weighted sum, "total". Lengths count in tenths of the part's diagonal. The two weights are
+    tau 1 and 2 of Eq. 19."""
     num_parts = targets.extents_m.shape[1]
     weights = part_weights(targets.labels, num_parts)
     own_part = targets.labels.clamp_max(num_parts - 1)
@@ -76,8 +82,8 @@ def page_loss(outputs: NetworkOutputs, targets: Targets) -> dict[str, Tensor]:
         "extent": (extent * present).sum() / present.sum().clamp_min(1),
     }
     terms["total"] = (
-        SEGMENTATION_WEIGHT * terms["segmentation"]
-        + RADIUS_WEIGHT * terms["radius"]
+        segmentation_weight * terms["segmentation"]
+        + radius_weight * terms["radius"]
         + COARSE_WEIGHT * terms["coarse"]
         + KEYPOINT_WEIGHT * terms["keypoint"]
         + PART_KEYPOINT_WEIGHT * terms["part_keypoint"]

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from page_runtime.category import Category
 from page_runtime.neighbours import LEVELS
-from page_training.canonical import CanonicalRefiner, frames_of
+from page_training.canonical import CanonicalRefiner, PartFrames, frames_of, with_normal
 from page_training.config import Fusion
 from page_training.layers import (
     FUSERS,
@@ -35,6 +35,8 @@ from page_training.layers import (
 
 # Spread of an object's points in region radii: positions enter beside normalised features as large as those.
 POSITION_SCALE = 0.25
+# Of a set of keypoints that holds a frame by itself, in part diagonals (least singular value).
+LEAST_THICKNESS = 0.05
 # Looks at the object from its parts' guessed frames, by the same weights.
 REFINEMENTS = 2
 
@@ -75,6 +77,7 @@ class PageNetwork(nn.Module):
     """
 
     unit_keypoints: Tensor
+    framed_keypoints: Tensor
     unit_inverse: Tensor
 
     def __init__(self, keypoints_unit: Tensor, num_voted: int, fusion: Fusion = "gated", image_size: int = 224) -> None:
@@ -85,6 +88,9 @@ class PageNetwork(nn.Module):
         self.num_parts, self.num_keypoints, self.image_size = num_parts, num_keypoints, image_size
         self.register_buffer("unit_keypoints", keypoints_unit, persistent=False)
         centred = keypoints_unit - keypoints_unit.mean(dim=1, keepdim=True)
+        self.in_plane = bool((torch.linalg.svdvals(centred)[:, 2] < LEAST_THICKNESS).any())
+        self.register_buffer("framed_keypoints", self._framed(keypoints_unit), persistent=False)
+        centred = self.framed_keypoints - self.framed_keypoints.mean(dim=1, keepdim=True)
         self.register_buffer("unit_inverse", torch.linalg.pinv(centred), persistent=False)
         self.image_branch = ImageBranch(16)
         c4, c8, c16 = self.image_branch.channels
@@ -130,12 +136,12 @@ class PageNetwork(nn.Module):
         known = self.refiner.prepared(g1, probabilities)
         for _ in range(REFINEMENTS):
             # Each look learns from where the one before ended; its gradient would only blur what that one learns.
-            frames = frames_of(guess.detach(), self.unit_inverse, self.unit_keypoints)
+            frames = self._frames(guess)
             correction, addition = self.refiner(frames, level[1], known, probabilities)
             guess = frames.place(self.unit_keypoints + correction)
             vectors = vectors + addition
             guesses.append(guess)
-        frames = frames_of(guess.detach(), self.unit_inverse, self.unit_keypoints)
+        frames = self._frames(guess)
         own_part = functional.softmax(coarse_logits[..., : self.num_parts], dim=-1)
         refined = own_part @ guess.flatten(2)
         g1 = torch.cat([g1, own_part @ vectors, refined], dim=-1)
@@ -165,6 +171,13 @@ class PageNetwork(nn.Module):
             coarse_logits=coarse_logits,
             part_keypoints=tuple(guesses),
         )
+
+    def _framed(self, keypoints: Tensor) -> Tensor:
+        """The keypoints that hold a part's frame: (...,n,3), and one more where they lie in one plane."""
+        return with_normal(keypoints) if self.in_plane else keypoints
+
+    def _frames(self, guess: Tensor) -> PartFrames:
+        return frames_of(self._framed(guess.detach()), self.unit_inverse, self.framed_keypoints)
 
     def _part_vectors(self, features: Tensor, points: Tensor, logits: Tensor) -> Tensor:
         """(B,K,C): what the points of each part say together, averaged by the coarse part probabilities."""

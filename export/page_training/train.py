@@ -151,7 +151,7 @@ def train(
     totals = validation_totals(run, first_step)
     if _ended(totals, config.patience):
         return checkpoint
-    module = workers.joined(network)
+    module = workers.joined(network, all_used=config.fusion != "depth")
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
@@ -159,7 +159,12 @@ def train(
         set_learning_rate(optimizers, step, steps, config)
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)
-        terms = page_loss(module(batch.inputs, batch.dense), batch.targets)
+        terms = page_loss(
+            module(batch.inputs, batch.dense),
+            batch.targets,
+            segmentation_weight=config.segmentation_weight,
+            radius_weight=config.radius_weight,
+        )
         network.zero_grad(set_to_none=True)
         terms["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)

@@ -32,9 +32,12 @@ class Workers:
         """
         return records[self.rank :: self.count]
 
-    def joined(self, network: nn.Module) -> nn.Module:
-        """The network for training: its gradients are the mean over the workers, its buffers the first one's."""
-        return network if self.count == 1 else DistributedDataParallel(network)
+    def joined(self, network: nn.Module, *, all_used: bool) -> nn.Module:
+        """The network for training: its gradients are the mean over the workers, its buffers the first one's.
+
+        all_used: whether every parameter has a gradient in every step; looking for those without costs time.
+        """
+        return network if self.count == 1 else DistributedDataParallel(network, find_unused_parameters=not all_used)
 
     def means(self, values: dict[str, float]) -> dict[str, float]:
         """Each value's mean over the workers."""

@@ -71,8 +71,8 @@ def _neighbours(sample: RegionSample) -> Neighbours:
 
 
 def _unlikely(pose: ArticulatedPose) -> bool:
-    """Whether a part's pose is less likely right than LOOK_AGAIN_BELOW."""
-    return any(isinstance(part, PartPose) and part.confidence < LOOK_AGAIN_BELOW for part in pose.parts)
+    """Whether a part has no pose, or one that is less likely right than LOOK_AGAIN_BELOW."""
+    return any(not isinstance(part, PartPose) or part.confidence < LOOK_AGAIN_BELOW for part in pose.parts)
 
 
 def _mean_confidence(pose: ArticulatedPose) -> float:

@@ -26,18 +26,21 @@ from page_runtime.recorded import PartTruth
 VISIBLE_SHARE = 0.1
 FAILURE_ROTATION_RAD = float(np.radians(30.0))
 FAILURE_SHARE = 0.5
+# Shares of a part that are hidden, itself and other things in front of it counted alike (the paper's Table VIII).
+OCCLUSION_LEVELS = ((0.0, 0.4), (0.4, 0.8), (0.8, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class PartError:
     """One visible part of one object in one frame. rotation_rad, translation_m: None when it has no pose. iou: of the
-    boxes, 0 when it has no pose. diagonal_m: of the true box."""
+    boxes, 0 when it has no pose. diagonal_m: of the true box. visible_share: as the truth has it."""
 
     name: str
     rotation_rad: float | None
     translation_m: float | None
     iou: float
     diagonal_m: float
+    visible_share: float | None = None
 
     @property
     def failed(self) -> bool:
@@ -79,13 +82,14 @@ def part_errors(pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[Par
 def _part_error(estimate: PartPose | NotSeen, truth: PartTruth) -> PartError:
     diagonal_m = float(np.linalg.norm(truth.extents_m))
     if isinstance(estimate, NotSeen):
-        return PartError(truth.name, None, None, 0.0, diagonal_m)
+        return PartError(truth.name, None, None, 0.0, diagonal_m, truth.visible_share)
     return PartError(
         name=truth.name,
         rotation_rad=rotation_error(estimate.T_camera_part, truth.T_camera_part),
         translation_m=translation_error(estimate.T_camera_part, truth.T_camera_part),
         iou=box_iou(estimate.T_camera_part, estimate.extents_m, truth.T_camera_part, truth.extents_m),
         diagonal_m=diagonal_m,
+        visible_share=truth.visible_share,
     )
 
 
@@ -144,13 +148,27 @@ def figures_of(category: Category, compared: Sequence[tuple[ArticulatedPose, Seq
 def summarise(errors: Iterable[PartError], name: str) -> dict[str, Any]:
     """The figures of part `name` as `page-runtime validate` writes them; the module says what counts."""
     own = [error for error in errors if error.name == name]
+    return {"name": name, **_figures(own), "by_occlusion": _by_occlusion(own)}
+
+
+def _by_occlusion(own: Sequence[PartError]) -> list[dict[str, Any]]:
+    """The figures of the parts hidden that much, for the levels there are parts of; none where nobody measured it."""
+    hidden = [(1.0 - error.visible_share, error) for error in own if error.visible_share is not None]
+    found = []
+    for low, high in OCCLUSION_LEVELS:
+        level = [error for share, error in hidden if low <= share and (share < high or high == 1.0)]
+        if level:
+            found.append({"occlusion": [low, high], **_figures(level)})
+    return found
+
+
+def _figures(own: Sequence[PartError]) -> dict[str, Any]:
     posed = [error for error in own if error.rotation_rad is not None]
     rotations = [float(np.degrees(error.rotation_rad)) for error in posed if error.rotation_rad is not None]
     translations = [error.translation_m for error in posed if error.translation_m is not None]
     shares = [error.translation_m / error.diagonal_m for error in posed if error.translation_m is not None]
     ious = [error.iou for error in own]
     return {
-        "name": name,
         "visible": len(own),
         "missing": len(own) - len(posed),
         "rotation_deg": _mean_median(rotations),

@@ -64,7 +64,22 @@ def readable(document: dict[str, Any]) -> str:
         "failure: no pose, or worse than 30 deg or half the part's diagonal\n"
     )
     states = "".join(_joint_line(joint) for joint in document["joints"])
-    return f"{title}\n{table(HEADER, rows)}{states}{notes}"
+    return f"{title}\n{table(HEADER, rows)}{_occlusion(document)}{states}{notes}"
+
+
+def _occlusion(document: dict[str, Any]) -> str:
+    """A second table, of the parts by how much of them is hidden; nothing where the truth does not say."""
+    rows = [
+        (
+            part["name"],
+            f"{100 * level['occlusion'][0]:.0f} to {100 * level['occlusion'][1]:.0f}",
+            *_row(part | level)[1:],
+        )
+        for part in document["parts"]
+        for level in part["by_occlusion"]
+    ]
+    header = (HEADER[0], "hidden", *HEADER[1:])
+    return "\n" + table(header, [(UNITS[0], "%", *UNITS[1:]), *rows]) if rows else ""
 
 
 def _joint_line(joint: dict[str, Any]) -> str:
