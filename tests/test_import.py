@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,16 @@ from page_training.checkpoint import save_checkpoint
 from page_training.cli import main
 from page_training.config import TrainingConfig
 from page_training.datasets.layout import read_layout
-from page_training.datasets.samples import import_samples, normals_camera, objects_of, only_objects, open_labelled
+from page_training.datasets.recorded_samples import open_recording, recorded_instances
+from page_training.datasets.samples import (
+    import_samples,
+    labelled_instances,
+    normals_camera,
+    objects_of,
+    only_objects,
+    open_labelled,
+    require_category,
+)
 from page_training.network import network_for
 from page_training.records import open_shards
 from page_training.train import train
@@ -26,6 +36,7 @@ from page_training.train import train
 BOX = category_named("box")
 # The number that write_annotated gives the object.
 OBJECT = 3
+DATA = Path(__file__).resolve().parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +88,46 @@ def test_normals_of_a_tilted_plane_are_its_own_and_face_the_camera() -> None:
     assert np.degrees(np.arccos(np.clip(normals[inner] @ normal, -1, 1))).max() < 0.5
 
 
+def test_a_recording_of_the_project_becomes_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = DATA / "box"
+    source = open_recording(recording)
+    assert main(["import", "box", str(recording), "--cache", str(tmp_path / "cache"), "--repeats", "2"]) == 0
+    (records,) = open_shards(tmp_path / "cache", "box", "train")
+    assert len(records) == 2 * len(source)
+    assert f"{len(source)} instances" in capsys.readouterr().out
+    for instance, record in zip(recorded_instances(source), records[::2], strict=True):
+        seen = np.bincount(instance.part_mask.ravel(), minlength=3)[1:]
+        counts = np.bincount(record["labels"], minlength=3)[:2]
+        # Points are sampled evenly over the crop, so they are shared as the pixels with depth are.
+        assert (counts[seen == 0] == 0).all()
+        assert (counts > 0).any()
+        center = instance.truths[0].T_camera_part[:3, 3] - record["T_center_part"][0][:3, 3]
+        for k, truth in enumerate(instance.truths):
+            own = apply(invert(truth.T_camera_part), record["points"][record["labels"] == k] + center)
+            assert (np.abs(own) <= truth.extents_m / 2 + 0.016).all()
+    assert main(["import", "laptop", str(recording), "--cache", str(tmp_path / "other")]) == 2
+    assert "category 'laptop', got 'box'" in capsys.readouterr().err
+
+
+def test_a_recording_whose_parts_nobody_marked_is_refused(
+    toy_recording: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unmarked = tmp_path / "unmarked"
+    shutil.copytree(DATA / "box", unmarked)
+    lost = next((unmarked / "mask_visib").iterdir())
+    lost.unlink()
+    arguments = ["--cache", str(tmp_path / "cache")]
+    assert main(["import", "box", str(unmarked), *arguments]) == 2
+    assert f"{lost}: expected a mask of" in capsys.readouterr().err
+    shutil.rmtree(unmarked / "mask_visib")
+    for folder in (unmarked, dataset):
+        assert main(["import", "box", str(folder), *arguments]) == 2
+        assert "expected a recording of this project" in capsys.readouterr().err
+    assert not (tmp_path / "cache").exists()
+    assert main(["import", "box", str(toy_recording), "--objects", "1", *arguments]) == 2
+    assert "expected a --layout" in capsys.readouterr().err
+
+
 def test_objects_are_counted_and_chosen(dataset: Path) -> None:
     annotated, source = open_labelled(dataset, "reartmix")
     assert objects_of(annotated) == {OBJECT: 2}
@@ -85,7 +136,9 @@ def test_objects_are_counted_and_chosen(dataset: Path) -> None:
         with pytest.raises(ValueError, match="objects: expected some of"):
             only_objects(annotated, source, wrong)
     with pytest.raises(ValueError, match="category 'laptop', got 'box'"):
-        import_samples(annotated, source, [OBJECT], category_named("laptop"), 1, 0)
+        require_category(source, category_named("laptop"))
+    with pytest.raises(ValueError, match="no instance that was chosen"):
+        import_samples([], BOX, 1, 0)
 
 
 def test_a_layout_whose_part_frames_are_not_known_is_refused(toy_recording: Path) -> None:
@@ -181,7 +234,7 @@ def test_the_real_sample_becomes_samples(shared_data: Path) -> None:
     counts = objects_of(annotated)
     assert len(counts) == 6
     rarest = min(counts, key=lambda one: counts[one])
-    records = import_samples(annotated, source, [rarest], BOX, 1, 0)
+    records = import_samples(labelled_instances(annotated, source, [rarest]), BOX, 1, 0)
     assert counts[rarest] * 0.9 <= len(records) <= counts[rarest]
     # Marked points lie in the parts' boxes: of 2048 in a crop a box covers a tenth and more.
     assert np.mean([(record["labels"] < 2).mean() for record in records]) > 0.1

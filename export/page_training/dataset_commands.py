@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from page_training.terminal import progress_bar
 
 if TYPE_CHECKING:
     from page_runtime.recorded import Source
+    from page_training.datasets.samples import LabelledInstance
 
 
 def add_to(commands: Any) -> None:
@@ -25,13 +26,13 @@ def add_to(commands: Any) -> None:
     doctor.set_defaults(run_command=_doctor)
     imported = _command(commands, "import", _import, "make training samples of an annotated data set")
     imported.add_argument("category", choices=sorted(CATEGORIES))
-    _dataset(imported, layout_required=True)
+    _dataset(imported)
     imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
     imported.add_argument("--repeats", type=int, default=8, help="cuts of each instance (default: %(default)s)")
     imported.add_argument("--seed", type=int, default=0)
     evaluate = _command(commands, "evaluate", _evaluate, "compare a checkpoint's poses with true ones")
     evaluate.add_argument("checkpoint", type=Path, help="of page-train pose or keep")
-    _dataset(evaluate, layout_required=False)
+    _dataset(evaluate)
     evaluate.add_argument(
         "--regressed", action="store_true", help="poses from the keypoints regressed for each part, not from scoring"
     )
@@ -44,9 +45,9 @@ def _command(commands: Any, name: str, run: Any, description: str) -> argparse.A
     return parser
 
 
-def _dataset(parser: argparse.ArgumentParser, *, layout_required: bool) -> None:
-    parser.add_argument("dataset", type=Path, help="a folder")
-    parser.add_argument("--layout", metavar="NAME", required=layout_required, help="reartmix; needed for --objects")
+def _dataset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("dataset", type=Path, help="a folder; without --layout a recording of this project")
+    parser.add_argument("--layout", metavar="NAME", help="reartmix; needed for --objects")
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--objects", type=int, nargs="+", metavar="ID", help="only these objects of the data set")
     chosen.add_argument("--without", type=int, nargs="+", metavar="ID", help="all its objects but these")
@@ -73,12 +74,15 @@ def _chosen(known: Sequence[int], options: argparse.Namespace) -> list[int]:
     unknown = sorted(set(named) - set(known))
     if unknown:
         raise ValueError(f"{options.dataset}: expected objects among {sorted(known)}, got {unknown}")
-    return sorted(set(options.objects) if options.objects else set(known) - set(named))
+    chosen = sorted(set(options.objects) if options.objects else set(known) - set(named))
+    if not chosen:
+        raise ValueError(f"objects: expected some of {sorted(known)}, got none")
+    return chosen
 
 
 def _import(options: argparse.Namespace) -> None:
     from page_training.cache import write_shard
-    from page_training.datasets.samples import import_samples, objects_of, open_labelled
+    from page_training.datasets.samples import import_samples, require_category
     from page_training.records import SHARD_SIZE, shard_path
 
     if options.repeats < 1:
@@ -86,23 +90,36 @@ def _import(options: argparse.Namespace) -> None:
     category = category_named(options.category)
     if list(shard_path(options.cache, category.name, "train", 0).parent.glob("train-*.npy")):
         raise ValueError(f"--cache: expected a folder without samples of {category.name!r}, got {options.cache}")
-    annotated, source = open_labelled(options.dataset, options.layout)
-    counts = objects_of(annotated)
-    objects = _chosen(list(counts), options)
+    source, instances, count = _labelled(options)
+    require_category(source, category)
     with progress_bar() as progress:
-        task = progress.add_task("importing", total=sum(counts[one] for one in objects))
+        task = progress.add_task("importing", total=count)
         records = import_samples(
-            annotated,
-            source,
-            objects,
-            category,
-            options.repeats,
-            options.seed,
-            on_instance=lambda: progress.advance(task),
+            instances, category, options.repeats, options.seed, on_instance=lambda: progress.advance(task)
         )
     for shard, start in enumerate(range(0, len(records), SHARD_SIZE)):
         write_shard(shard_path(options.cache, category.name, "train", shard), records[start : start + SHARD_SIZE])
-    print(f"{options.cache}: {len(records)} samples of the objects {', '.join(map(str, objects))}")
+    print(f"{options.cache}: {len(records)} samples of {count} instances")
+
+
+def _labelled(options: argparse.Namespace) -> tuple[Source, Iterator[LabelledInstance], int]:
+    """What is imported: the source, the instances chosen, and how many these are."""
+    from page_training.datasets.recorded_samples import open_recording, recorded_instances
+    from page_training.datasets.samples import labelled_instances, objects_of, open_labelled
+
+    if options.layout is None:
+        _require_layout(options)
+        source = open_recording(options.dataset)
+        return source, recorded_instances(source), sum(len(entry.instances) for entry in source.entries)
+    annotated, source = open_labelled(options.dataset, options.layout)
+    counts = objects_of(annotated)
+    objects = _chosen(list(counts), options)
+    return source, labelled_instances(annotated, source, objects), sum(counts[one] for one in objects)
+
+
+def _require_layout(options: argparse.Namespace) -> None:
+    if options.objects or options.without:
+        raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
 
 
 def _source(options: argparse.Namespace) -> Source:
@@ -110,8 +127,7 @@ def _source(options: argparse.Namespace) -> Source:
     from page_training.datasets.samples import objects_of, only_objects, open_labelled
 
     if options.layout is None:
-        if options.objects or options.without:
-            raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
+        _require_layout(options)
         return open_source(options.dataset)
     annotated, source = open_labelled(options.dataset, options.layout)
     return only_objects(annotated, source, _chosen(list(objects_of(annotated)), options))

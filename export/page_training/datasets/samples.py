@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -184,24 +184,25 @@ def _difference(points: Array, depth_m: NDArray[np.float32], *, axis: int) -> tu
 
 
 def import_samples(
-    annotated: Annotated,
-    source: Source,
-    objects: Collection[int],
+    instances: Iterable[LabelledInstance],
     category: Category,
     repeats: int,
     seed: int,
     on_instance: Callable[[], None] = lambda: None,
 ) -> NDArray[Any]:
-    """(R,) records of all instances of the objects; ValueError if there are none."""
-    if source.category != category.name:
-        raise ValueError(f"{source.path}: expected objects of the category {category.name!r}, got {source.category!r}")
-    only_objects(annotated, source, objects)
+    """(R,) records of all the instances; ValueError if there is nothing to learn from."""
     rng = np.random.default_rng(seed)
     pieces = []
-    for instance in labelled_instances(annotated, source, objects):
+    for instance in instances:
         pieces.append(records_of(instance, category, repeats, rng))
         on_instance()
     records = np.concatenate(pieces) if pieces else np.zeros(0, record_type(len(category.parts)))
     if not len(records):
-        raise ValueError(f"{source.path}: no instance of the objects {sorted(objects)} has depth to learn from")
+        raise ValueError(f"category {category.name!r}: no instance that was chosen has depth to learn from")
     return records
+
+
+def require_category(source: Source, category: Category) -> None:
+    """ValueError where the source shows objects of another one."""
+    if source.category != category.name:
+        raise ValueError(f"{source.path}: expected objects of the category {category.name!r}, got {source.category!r}")
