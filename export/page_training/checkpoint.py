@@ -24,10 +24,20 @@ KEPT = ("average", "category", "config", "step", "samples")
 
 
 def save_checkpoint(path: Path, **state: Any) -> None:
-    """Write a checkpoint whole or not at all."""
+    """Write a checkpoint whole or not at all; OSError where it cannot be written, and the one before stays."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(state, path.with_suffix(".partial"))
-    path.with_suffix(".partial").rename(path)
+    partial = path.with_suffix(".partial")
+    try:
+        torch.save(state, partial)
+    except (RuntimeError, OSError) as error:
+        partial.unlink(missing_ok=True)
+        # torch raises a RuntimeError of many lines for a full disk.
+        reason = str(error).splitlines()[0]
+        raise OSError(
+            f"checkpoint {path}: cannot be written ({reason}); is the disk full? The last one is whole, and the same "
+            "command goes on from it"
+        ) from error
+    partial.rename(path)
 
 
 def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, Any]:

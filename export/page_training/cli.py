@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -87,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         "--also", type=Path, metavar="CACHE", help="draw samples from this cache of page-train import, too"
     )
     pose.add_argument("--halve-every", type=int, metavar="SAMPLES", help="halve the learning rate so, no cosine")
+    pose.add_argument("--skip-corrupt", action="store_true", help="name corrupt frames and go on (default: stop)")
     pose.add_argument("--patience", type=int, metavar="N", help="end after N validations without a better one")
     pose.add_argument("--tensorboard", action="store_true", help="write TensorBoard events into the run's folder")
     pose.add_argument(
@@ -173,7 +175,16 @@ def _pose(options: argparse.Namespace) -> None:
             if events is not None:
                 events.add(news)
 
-        checkpoint = train(config, category, options.cache, run, report)
+        checkpoint = train(
+            config,
+            category,
+            options.cache,
+            run,
+            report,
+            on_fault=partial(progress.console.print, "skipped", markup=False, soft_wrap=True)
+            if options.skip_corrupt
+            else None,
+        )
     if first:
         print(checkpoint)
 

@@ -44,8 +44,31 @@ def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
 
 
 def open_shards(root: Path, category: str, split: str) -> list[NDArray[Any]]:
-    """Memory maps of all shards there are at the moment, in order."""
-    return [
-        np.load(path, mmap_mode="r")
-        for path in sorted(shard_path(root, category, split, 0).parent.glob(f"{split}-*.npy"))
-    ]
+    """Memory maps of all shards there are at the moment, in order; ValueError for one that is none."""
+    return [_opened(path) for path in sorted(shard_path(root, category, split, 0).parent.glob(f"{split}-*.npy"))]
+
+
+def _opened(path: Path) -> NDArray[Any]:
+    try:
+        shard = np.load(path, mmap_mode="r")
+    except (ValueError, EOFError, OSError) as error:
+        raise ValueError(f"shard {path}: cannot be read ({error}); delete it and make it anew") from error
+    if shard.ndim != 1 or not len(shard) or set(shard.dtype.names or ()) != set(record_type(1).names or ()):
+        raise ValueError(f"shard {path}: expected records of page-train, got {shard.dtype}; delete it and make it anew")
+    return shard
+
+
+def fault_of(record: Any) -> str | None:
+    """What makes a record one that cannot be learned from, None for a sound one."""
+    num_parts = record["extents_m"].shape[0]
+    for name in ("points", "pixels", "T_center_part", "extents_m"):
+        if not np.isfinite(record[name]).all():
+            return f"{name} are not finite"
+    if (record["extents_m"] <= 0.0).any():
+        return f"extents_m are {record['extents_m'].tolist()}"
+    if record["labels"].max() > num_parts:
+        return f"a label is {record['labels'].max()}, of {num_parts} parts"
+    for name, count in zip(NEIGHBOUR_TABLES, (*LEVELS[:3], *LEVELS[1:]), strict=True):
+        if record[name].min() < 0 or record[name].max() >= count:
+            return f"{name} names points beyond the {count} there are"
+    return None

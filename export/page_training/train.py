@@ -26,11 +26,13 @@ from page_training.config import TrainingConfig
 from page_training.losses import page_loss
 from page_training.network import network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
-from page_training.records import open_shards
+from page_training.records import fault_of, open_shards
 from page_training.run_folder import add_report, begin, require_same_run, validation_totals
 from page_training.validation import validation_losses, validation_picture
 from page_training.workers import Workers, join_workers
 
+# Of corrupt frames in a row before a cache is given up.
+MAX_DRAWS = 20
 HISTORY = ("step", "steps", "samples_per_s", "losses", "validation")
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -64,10 +66,29 @@ def keep_freed_memory() -> None:
         libc.mallopt(M_TOP_PAD, 256 << 20)
 
 
-def _draw(shards: list[NDArray[Any]], rng: np.random.Generator, count: int) -> list[Any]:
-    """`count` records at random from all shards."""
-    shard = rng.integers(len(shards), size=count) if count else ()
-    return [shards[s][rng.integers(len(shards[s]))] for s in shard]
+def _draw(
+    shards: list[NDArray[Any]], rng: np.random.Generator, count: int, on_fault: Callable[[str], None] | None
+) -> list[Any]:
+    """`count` sound records at random from all shards. on_fault: told of each that is not, for which another is drawn;
+    None: ValueError."""
+    drawn: list[Any] = []
+    told = ""
+    for number in rng.integers(len(shards), size=count) if count else ():
+        for _ in range(MAX_DRAWS):
+            shard = shards[number]
+            row = rng.integers(len(shard))
+            fault = fault_of(shard[row])
+            if fault is None:
+                drawn.append(shard[row])
+                break
+            told = f"frame {row} of {getattr(shard, 'filename', 'a shard')}: {fault}"
+            if on_fault is None:
+                raise ValueError(f"{told}; delete that file and make it anew, or skip such frames")
+            on_fault(told)
+            number = rng.integers(len(shards))
+        else:
+            raise ValueError(f"{MAX_DRAWS} corrupt frames in a row, the last {told}; delete the cache and make it anew")
+    return drawn
 
 
 def _shards_for(cache: Path, category: Category, maker: str = "scenes") -> list[NDArray[Any]]:
@@ -84,6 +105,7 @@ def _batches(
     also: list[NDArray[Any]],
     steps: range,
     workers: Workers,
+    on_fault: Callable[[str], None] | None,
 ) -> Iterator[tuple[int, Batch]]:
     """This worker's rows of batch number `step`, which depend only on the seed, the step, the number of workers and the
     cached frames, so a resumed run repeats them."""
@@ -94,7 +116,9 @@ def _batches(
         rng = np.random.default_rng([config.seed, step])
         others = int(rng.binomial(config.batch_size, config.also_share)) if also else 0
         # Mixed, because the workers take rows in turn.
-        records = np.stack(_draw(shards, rng, config.batch_size - others) + _draw(also, rng, others))
+        records = np.stack(
+            _draw(shards, rng, config.batch_size - others, on_fault) + _draw(also, rng, others, on_fault)
+        )
         records = rng.permutation(records) if also else records
         generator = torch.Generator().manual_seed((config.seed * 1_000_003 + step) * workers.count + workers.rank)
         yield (
@@ -110,7 +134,12 @@ def _batches(
 
 
 def train(
-    config: TrainingConfig, category: Category, cache: Path, run: Path, on_report: Callable[[Report], None]
+    config: TrainingConfig,
+    category: Category,
+    cache: Path,
+    run: Path,
+    on_report: Callable[[Report], None],
+    on_fault: Callable[[str], None] | None = None,
 ) -> Path:
     """Train, or go on with the run in folder `run`; returns its checkpoint.
 
@@ -118,6 +147,8 @@ def train(
     may go on with another number of samples, threads or patience, and is then on another learning rate's curve;
     ValueError when anything else differs from what it was begun with. It ends early after `patience` validations
     without a better total. Under torchrun its processes share every batch, and the first one writes the folder.
+    on_fault: told of corrupt frames, which are skipped; without it the first one ends the run with a ValueError.
+    OSError when the disk is full; the last checkpoint is whole then.
     """
     keep_freed_memory()
     workers = join_workers(config.batch_size)
@@ -155,7 +186,7 @@ def train(
     validation = open_shards(cache, category.name, "validation")
     sums: dict[str, float] = {}
     counted, since = 0, time.perf_counter()
-    for step, batch in _batches(config, category, cache, also, range(first_step, steps), workers):
+    for step, batch in _batches(config, category, cache, also, range(first_step, steps), workers, on_fault):
         set_learning_rate(optimizers, step, steps, config)
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)
