@@ -12,7 +12,7 @@ from page_runtime import Network, open_source
 from page_runtime.estimator import estimate, sample_for
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import NetworkOutput
-from page_runtime.part_poses import pose_from_output
+from page_runtime.part_poses import MIN_PART_POINTS, pose_from_output
 from page_runtime.pose import NotSeen, PartPose
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample
@@ -83,7 +83,7 @@ def test_degenerate_points_give_reasons_or_finite_poses(
         assert isinstance(part, NotSeen) or np.isfinite(part.T_camera_part).all()
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 23])
+@pytest.mark.parametrize("count", [0, 1, 2, 3, MIN_PART_POINTS - 1])
 def test_a_few_points_are_not_a_part(answered: tuple[Network, RegionSample, NetworkOutput], count: int) -> None:
     network, sample, output = answered
     logits = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(output.part_logits), 1))

@@ -19,7 +19,7 @@ from page_runtime.scoring import score_keypoints
 from page_training.categories import CATEGORIES
 from synthetic_parts import box_extents_m, keypoints_around, plate_extents_m, seen_part
 
-NUM_POINTS = 1200
+NUM_POINTS = 1000
 VOXEL_M = 0.005
 
 

@@ -76,6 +76,18 @@ def test_pixels_follow_a_flip(cache: Path) -> None:
     torch.testing.assert_close(flipped.inputs.points[..., 0], -plain.inputs.points[..., 0])
 
 
+def test_colour_is_sampled_as_torch_samples_a_grid() -> None:
+    generator = torch.Generator().manual_seed(0)
+    feature_map = torch.randn(3, 5, 14, 28, generator=generator)
+    # Beyond the picture, too: its border goes on there.
+    pixels = torch.rand(3, 100, 2, generator=generator) * 240 - 8
+    grid = ((2.0 * pixels + 1.0) / 224 - 1.0).unsqueeze(1)
+    expected = torch.nn.functional.grid_sample(feature_map, grid, padding_mode="border", align_corners=False)
+    torch.testing.assert_close(
+        sample_bilinear(feature_map, pixels, 224), expected.squeeze(2).transpose(1, 2), atol=1e-5, rtol=0
+    )
+
+
 def test_loss_is_zero_exactly_at_the_truth(cache: Path) -> None:
     _, batch = batch_of(cache, None)
     targets = batch.targets

@@ -20,7 +20,7 @@ from page_runtime.camera import Camera
 from page_runtime.category import Category, Joint, Part
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, apply, invert, rotation_about, transform_from
-from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
+from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
 from page_runtime.recording import RecordingWriter
@@ -162,11 +162,12 @@ def write_oracle_bundle(
         nearer = np.where(np.linalg.norm(apply(T, keypoints), axis=1) < np.linalg.norm(T[:3, 3]), 6.0, -6.0)
         zeros = node("Mul", [largest, constant(f"z{k}", 0.0)], f"y{k}")
         sides.append(node("Add", [zeros, constant(f"side{k}", nearer[None, None, :voted])], f"w{k}"))
+    prefix = [constant(name, value, np.int64) for name, value in (("from", [0]), ("to", [ANSWERED]), ("on", [1]))]
     background = node("Sub", [node("Mul", [ratios[0], constant("zero", 0.0)], "nothing"), constant("one", 1.0)], "b")
-    node("Concat", [*ratios, background], "part_logits", axis=2)
+    node("Slice", [node("Concat", [*ratios, background], "all_logits", axis=2), *prefix], "part_logits")
     in_base = node("Greater", [ratios[0], ratios[1]], "in_base")
-    node("Where", [in_base, *radii], "radii")
-    node("Where", [in_base, *sides], "side_logits")
+    node("Slice", [node("Where", [in_base, *radii], "all_radii"), *prefix], "radii")
+    node("Slice", [node("Where", [in_base, *sides], "all_sides"), *prefix], "side_logits")
     node("Identity", [constant("extents", np.log(EXTENTS_M)[None])], "log_extents")
     return save_bundle(path, nodes, constants, category, (count, voted))
 
@@ -179,8 +180,8 @@ def save_bundle(
     shapes = {"image": [1, 3, IMAGE_SIZE, IMAGE_SIZE], "points": [1, LEVELS[0], 3], "pixels": [1, LEVELS[0], 2]}
     for i in (1, 2, 3):
         shapes[f"group{i}"] = [1, LEVELS[i], GROUP_SIZE]
-        shapes[f"up{i}"] = [1, LEVELS[i - 1], INTERPOLATION_SIZE]
-    out_shapes = ([1, LEVELS[0], parts + 1], [1, LEVELS[0], count], [1, LEVELS[0], voted], [1, parts, 3])
+        shapes[f"up{i}"] = [1, (ANSWERED, *LEVELS[1:])[i - 1], INTERPOLATION_SIZE]
+    out_shapes = ([1, ANSWERED, parts + 1], [1, ANSWERED, count], [1, ANSWERED, voted], [1, parts, 3])
     graph = helper.make_graph(
         nodes,
         "oracle",

@@ -15,7 +15,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from page_runtime.bundle import METADATA_KEY, BundleMetadata
 from page_runtime.category import Category
-from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
+from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_training.config import VOXEL_M
 from page_training.layers import Convolution
@@ -59,7 +59,7 @@ def example_inputs() -> tuple[Tensor, ...]:
     ]
     ups = [
         torch.randint(count, (1, fine, INTERPOLATION_SIZE), generator=generator, dtype=torch.int32)
-        for fine, count in zip(LEVELS[:-1], coarse, strict=True)
+        for fine, count in zip((ANSWERED, *coarse[:-1]), coarse, strict=True)
     ]
     image = torch.rand(1, 3, IMAGE_SIZE, IMAGE_SIZE, generator=generator)
     points = torch.randn(1, full, 3, generator=generator)

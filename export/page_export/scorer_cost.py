@@ -59,7 +59,7 @@ def measure_scorer(bundle: Network, graph: bytes, recording: Path, *, threads: i
         network_done = perf_counter()
         output = NetworkOutput.from_graph(values, metadata.category.region_radius_m)
         members = members_of(output, sample.num_distinct)
-        votes = votes_of(members, sample.points_camera[: sample.num_distinct], output, metadata)
+        votes = votes_of(members, sample.points_camera[: len(output.part_logits)], output, metadata)
         numpy_done = perf_counter()
         center = np.asarray(sample.center_camera, np.float32)[None]
         further = {CENTER: center, DISTINCT: np.array([sample.num_distinct], np.int64)}

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from page_export.onnx_export import OPSET, exported
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
+from page_runtime.neighbours import ANSWERED
 from page_runtime.part_poses import MAX_VOTERS, MIN_PART_POINTS
 
 # Of 288 keypoints, half of them with correlated radius errors, the votes were the maximum for 91 % with 64 cells, 98 %
@@ -37,7 +38,8 @@ _PREFIX = "scorer/"
 class VoteGraph(nn.Module):
     """Eq. 16-18 about the middle of each part's points, of standard operators only.
 
-    Inputs: the network's points (1,N,3), centred, part_logits (1,N,K+1) and radii (1,N,n), lengths in region radii; and
+    Inputs: the network's points (1,N,3), centred, part_logits (1,A,K+1) and radii (1,A,n) of the first A of them,
+    lengths in region radii; and
     the centre that was subtracted, center_camera (1,3) m, which places the lattice of voxels; num_distinct (1,) int64,
     points before repetition. Outputs: voted_keypoints
     (1,K,v,3) m camera, the voxel centres with the most votes; keypoint_votes (1,K,v), as float, 0 for a part of fewer
@@ -48,10 +50,10 @@ class VoteGraph(nn.Module):
     window: Tensor
     roots: Tensor
 
-    def __init__(self, category: Category, num_points: int, voxel_m: float, beam: int = BEAM) -> None:
+    def __init__(self, category: Category, answered: int, voxel_m: float, beam: int = BEAM) -> None:
         super().__init__()
         self.num_parts, self.num_voted, self.beam = len(category.parts), category.num_voted, beam
-        self.num_voters = min(MAX_VOTERS, num_points)
+        self.num_voters = min(MAX_VOTERS, answered)
         self.voxel_m, self.voxels_per_unit = voxel_m, category.region_radius_m / voxel_m
         farthest = max(
             part.diagonal_range_m[1] * (0.5 + float(np.linalg.norm(part.keypoints_unit, axis=1).max()))
@@ -69,6 +71,7 @@ class VoteGraph(nn.Module):
     def forward(
         self, points: Tensor, part_logits: Tensor, radii: Tensor, center_camera: Tensor, num_distinct: Tensor
     ) -> tuple[Tensor, Tensor]:
+        points = points[:, : part_logits.shape[1]]
         members = part_logits[0].argmax(dim=-1).unsqueeze(0) == torch.arange(self.num_parts).unsqueeze(1)
         members = members & (torch.arange(points.shape[1]) < num_distinct).unsqueeze(0)
         # The first points of each part, which cover it evenly: those that are no members are taken last.
@@ -128,10 +131,11 @@ def scorer_graph(metadata: BundleMetadata, beam: int = BEAM) -> onnx.ModelProto:
     """The scorer alone, as an ONNX model from INPUTS to OUTPUTS."""
     category = metadata.category
     generator = torch.Generator().manual_seed(0)
-    widths = (3, len(category.parts) + 1, category.num_keypoints)
-    examples = [torch.rand(1, metadata.num_points, width, generator=generator) for width in widths]
+    answered = min(ANSWERED, metadata.num_points)
+    shapes = ((metadata.num_points, 3), (answered, len(category.parts) + 1), (answered, category.num_keypoints))
+    examples = [torch.rand(1, *shape, generator=generator) for shape in shapes]
     examples += [torch.rand(1, 3, generator=generator), torch.tensor([metadata.num_points])]
-    graph = VoteGraph(category, metadata.num_points, metadata.voxel_m, beam).eval()
+    graph = VoteGraph(category, answered, metadata.voxel_m, beam).eval()
     return exported(graph, tuple(examples), INPUTS, OUTPUTS)
 
 

@@ -41,7 +41,7 @@ def _jitter(points: Tensor, tables: list[Tensor], generator: torch.Generator, se
     ):
         sigma_m = settings.jitter_limit_m * torch.rand(1, generator=generator).square()
         points[row] += sigma_m * torch.randn(points.shape[1:], generator=generator)
-        found = find_neighbours((points[row] - points[row].mean(dim=0)).numpy())
+        found = find_neighbours((points[row] - points[row].mean(dim=0)).numpy(), answered=points.shape[1])
         for name, table in zip(NEIGHBOUR_TABLES, tables, strict=True):
             table[row] = torch.from_numpy(getattr(found, name).astype(np.int64))
 

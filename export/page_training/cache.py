@@ -57,7 +57,7 @@ def fill_record(
     record["pixels"] = sample.pixels
     record["normals"] = np.round(normals_camera.reshape(-1, 3)[sample.source_index] * 127)
     record["labels"] = labels
-    neighbours = find_neighbours(record["points"])
+    neighbours = find_neighbours(record["points"], answered=LEVELS[0])
     for name in NEIGHBOUR_TABLES:
         record[name] = getattr(neighbours, name)
     for k, truth in enumerate(truths):

@@ -36,7 +36,8 @@ def gather_rows(features: Tensor, index: Tensor) -> Tensor:
     """features (B,P,C) at index (B,...) -> (B,...,C), as one flat gather (cheaper in ONNX than GatherElements)."""
     batch, count, channels = features.shape
     offset = torch.arange(batch, device=index.device).view(-1, *[1] * (index.dim() - 1)) * count
-    return features.reshape(batch * count, channels)[(index + offset).reshape(-1)].view(*index.shape, channels)
+    rows = features.reshape(batch * count, channels).index_select(0, (index + offset).reshape(-1))
+    return rows.view(*index.shape, channels)
 
 
 class GroupMaximum(torch.autograd.Function):
@@ -63,24 +64,61 @@ def group_maximum(x: Tensor) -> Tensor:
 def sample_bilinear(feature_map: Tensor, pixels: Tensor, image_size: int) -> Tensor:
     """Features (B,P,C) of feature_map (B,C,h,w) at crop pixels (B,P,2): p' = M p already applied (Eq. 12).
 
-    Pixel centres are integers, so pixel c of S is at (2c + 1) / S - 1 in the map's [-1, 1] square at every stride.
+    Pixel centres are integers, so pixel c of S is at (c + 0.5) w / S - 0.5 of a map w wide. What grid_sample gives for
+    the border mode, from four rows each: onnxruntime takes a fifth of GridSample's time for that.
     """
-    grid = ((2.0 * pixels + 1.0) / image_size - 1.0).unsqueeze(1)
-    sampled = functional.grid_sample(feature_map, grid, mode="bilinear", padding_mode="border", align_corners=False)
-    return sampled.squeeze(2).transpose(1, 2)
+    height, width = feature_map.shape[2:]
+    size = torch.tensor([width, height], dtype=pixels.dtype, device=pixels.device)
+    place = ((pixels + 0.5) * (size / image_size) - 0.5).clamp_min(0.0).minimum(size - 1.0)
+    corner = place.floor().minimum(size - 2.0)
+    right, down = (place - corner).unbind(-1)
+    column, row = corner.long().unbind(-1)
+    first = row * width + column
+    index = torch.stack([first, first + 1, first + width, first + width + 1], dim=-1)
+    weight = torch.stack([(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down], dim=-1)
+    corners = gather_rows(feature_map.flatten(2).transpose(1, 2), index)
+    return torch.matmul(weight.unsqueeze(2), corners).squeeze(2)
+
+
+class Bottleneck(nn.Module):
+    """A residual block: 3x3 convolution at half the channels between two 1x1. Starts as the identity."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        half = channels // 2
+        self.reduce = nn.Sequential(nn.Conv2d(channels, half, 1, bias=False), nn.BatchNorm2d(half), nn.ReLU(True))
+        self.spread = Convolution(half, half)
+        self.expand = nn.Conv2d(half, channels, 1, bias=False)
+        self.norm = nn.BatchNorm2d(channels)
+        nn.init.zeros_(self.norm.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.norm(self.expand(self.spread(self.reduce(x)))))
 
 
 class ImageBranch(nn.Module):
-    """A small convolutional pyramid; gives maps at strides 4 and 8 (fine detail) and 16 (context)."""
+    """A small convolutional pyramid; gives maps at strides 4 and 8 (fine detail) and 16 (context).
+
+    Its depth is at strides 8 and 16, where a block costs a tenth of a millisecond: back and front of a box, or base and
+    lid, differ in small things (a clasp, a hinge) that have to be recognised, not only seen.
+    """
 
     def __init__(self, width: int) -> None:
         super().__init__()
         w = width
         self.stem = nn.Sequential(Convolution(3, w, 2), Convolution(w, 2 * w, 2), Convolution(2 * w, 2 * w))
-        self.stage8 = nn.Sequential(Convolution(2 * w, 4 * w, 2), Convolution(4 * w, 4 * w))
-        self.stage16 = nn.Sequential(Convolution(4 * w, 6 * w, 2), Convolution(6 * w, 6 * w))
-        self.stage32 = nn.Sequential(Convolution(6 * w, 8 * w, 2), Convolution(8 * w, 8 * w))
-        self.lateral32 = nn.Conv2d(8 * w, 6 * w, 1)
+        self.stage8 = nn.Sequential(
+            Convolution(2 * w, 4 * w, 2), Convolution(4 * w, 4 * w), *(Bottleneck(4 * w) for _ in range(3))
+        )
+        self.stage16 = nn.Sequential(Convolution(4 * w, 6 * w, 2), *(Bottleneck(6 * w) for _ in range(3)))
+        self.stage32 = nn.Sequential(
+            nn.Conv2d(6 * w, 6 * w, 3, 2, 1, groups=6 * w, bias=False),
+            nn.Conv2d(6 * w, 6 * w, 1, bias=False),
+            nn.BatchNorm2d(6 * w),
+            nn.ReLU(inplace=True),
+            Bottleneck(6 * w),
+        )
+        self.lateral32 = nn.Conv2d(6 * w, 6 * w, 1)
         self.lateral16 = nn.Conv2d(6 * w, 4 * w, 1)
         self.lateral8 = nn.Conv2d(4 * w, 2 * w, 1)
         self.channels = (2 * w, 4 * w, 6 * w)

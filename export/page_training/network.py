@@ -3,7 +3,7 @@
 Inputs, one object per row (B = batch, N = 2048 points, S = 224):
     image (B,3,S,S) RGB in [0,1]; points (B,N,3) centred, in units of the category's region radius, progressive order;
     pixels (B,N,2) crop pixels of the points; six neighbour tables (page_runtime.neighbours.Neighbours).
-Outputs, D dense points (all N, or a random subset in training):
+Outputs, D dense points (the first ones, as many as up1 has rows, or a random subset of all in training):
     part_logits (B,D,K+1), background last; radii (B,D,n) to the point's own part's keypoints, in region radii;
     side_logits (B,D,n_voted), positive where the keypoint is on the camera's side of the surface;
     log_extents (B,K,3), the parts' full sizes, log of metres.
@@ -95,13 +95,14 @@ class PageNetwork(nn.Module):
         self.image_branch = ImageBranch(16)
         c4, c8, c16 = self.image_branch.channels
         self.level1 = SetAbstraction(0, 32, 64, radius=0.05)
-        self.level2 = SetAbstraction(64, 96, 128, radius=0.1)
+        self.detail_fuser = FUSERS[fusion](64, c8, 64)
+        self.level2 = SetAbstraction(self.detail_fuser.outputs, 96, 128, radius=0.1)
         self.context_fuser = FUSERS[fusion](128, c16, 64)
         self.level3 = SetAbstraction(self.context_fuser.outputs, 160, 224, radius=0.2)
         self.whole = Dense(224 + 3, 224)
         self.up3 = FeaturePropagation(224, self.context_fuser.outputs, 192)
         self.whole_to_up3 = nn.Linear(224, 192, bias=False)
-        self.up2 = FeaturePropagation(192, 64, 128)
+        self.up2 = FeaturePropagation(192, self.detail_fuser.outputs, 128)
         self.coarse_parts = nn.Linear(128, num_parts + 1)
         self.part_vector = nn.Sequential(Dense(128 + 3, 128), Dense(128, 128))
         self.extents = nn.Linear(128, 3)
@@ -116,11 +117,12 @@ class PageNetwork(nn.Module):
         self.sides = nn.Linear(96, num_voted)
 
     def forward(self, inputs: NetworkInputs, dense: Tensor | None = None) -> NetworkOutputs:
-        """`dense` (B,D): evaluate the dense layers at these points only; training needs no more than a subset."""
+        """`dense` (B,D): evaluate the dense layers at these points, of all that up1 has rows for."""
         points, pixels = inputs.points, inputs.pixels
         y4, y8, y16 = self.image_branch(inputs.image)
         level = [points[:, :count] for count in LEVELS]
         f1 = self.level1(level[0], None, inputs.group1)
+        f1 = self.detail_fuser(f1, sample_bilinear(y8, pixels[:, : LEVELS[1]], self.image_size))
         f2 = self.level2(level[1], f1, inputs.group2)
         f2 = self.context_fuser(f2, sample_bilinear(y16, pixels[:, : LEVELS[2]], self.image_size))
         f3 = self.level3(level[2], f2, inputs.group3)
@@ -147,6 +149,7 @@ class PageNetwork(nn.Module):
         g1 = torch.cat([g1, own_part @ vectors, refined], dim=-1)
 
         up1 = inputs.up1
+        points, pixels = points[:, : up1.shape[1]], pixels[:, : up1.shape[1]]
         if dense is not None:
             points = torch.take_along_dim(points, dense.unsqueeze(-1), dim=1)
             pixels = torch.take_along_dim(pixels, dense.unsqueeze(-1), dim=1)

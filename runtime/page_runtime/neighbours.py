@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVELS = (2048, 512, 128, 32)
+# Points the network answers for, the first ones: a pose from the radii of 1,024 is as good as from those of all 2,048,
+# and the layers that look at single points cost half.
+ANSWERED = 1024
 GROUP_SIZE = 16
 INTERPOLATION_SIZE = 3
 
@@ -20,7 +23,7 @@ class Neighbours:
     """Indices into the finer (group) or the coarser (up) level, int32.
 
     group1 (512,16) into 2048, group2 (128,16) into 512, group3 (32,16) into 128;
-    up1 (2048,3) into 512, up2 (512,3) into 128, up3 (128,3) into 32.
+    up1 (A,3) into 512 of the first A points, up2 (512,3) into 128, up3 (128,3) into 32.
     """
 
     group1: NDArray[np.int32]
@@ -57,8 +60,11 @@ def nearest(queries: NDArray[np.float32], points: NDArray[np.float32], count: in
     return keys[:, :count] & mask
 
 
-def find_neighbours(points: NDArray[np.float32]) -> Neighbours:
-    """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision."""
+def find_neighbours(points: NDArray[np.float32], *, answered: int = ANSWERED) -> Neighbours:
+    """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision.
+
+    answered: points at the start that get a row of up1.
+    """
     if points.shape != (LEVELS[0], 3):
         raise ValueError(f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many")
     level = [points[:count] for count in LEVELS]
@@ -66,7 +72,7 @@ def find_neighbours(points: NDArray[np.float32]) -> Neighbours:
         group1=nearest(level[1], level[0], GROUP_SIZE),
         group2=nearest(level[2], level[1], GROUP_SIZE),
         group3=nearest(level[3], level[2], GROUP_SIZE),
-        up1=nearest(level[0], level[1], INTERPOLATION_SIZE),
+        up1=nearest(level[0][:answered], level[1], INTERPOLATION_SIZE),
         up2=nearest(level[1], level[2], INTERPOLATION_SIZE),
         up3=nearest(level[2], level[3], INTERPOLATION_SIZE),
     )

@@ -10,7 +10,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
-from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours
+from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours
 from page_runtime.sampling import RegionSample
 
 INPUT_NAMES = ("image", "points", "pixels", "group1", "group2", "group3", "up1", "up2", "up3")
@@ -20,8 +20,9 @@ MAX_BUNDLE_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NetworkOutput:
-    """part_logits (N,K+1), background last; radii_m (N,n) to each point's own part's keypoints; side_logits
-    (N,n_voted), positive where the keypoint is on the camera's side of the surface; extents_m (K,3)."""
+    """Of the first A points of the sample: part_logits (A,K+1), background last; radii_m (A,n) to each point's own
+    part's keypoints; side_logits (A,n_voted), positive where the keypoint is on the camera's side of the surface. And
+    extents_m (K,3)."""
 
     part_logits: NDArray[np.float32]
     radii_m: NDArray[np.float32]
@@ -97,13 +98,14 @@ class Network:
             "image": [1, 3, size, size],
             "points": [1, full, 3],
             "pixels": [1, full, 2],
-            "part_logits": [1, full, parts + 1],
-            "radii": [1, full, keypoints],
-            "side_logits": [1, full, metadata.category.num_voted],
+            "part_logits": [1, ANSWERED, parts + 1],
+            "radii": [1, ANSWERED, keypoints],
+            "side_logits": [1, ANSWERED, metadata.category.num_voted],
             "log_extents": [1, parts, 3],
         }
         groups = {f"group{i}": [1, count, GROUP_SIZE] for i, count in enumerate(LEVELS[1:], 1)}
-        ups = {f"up{i}": [1, count, INTERPOLATION_SIZE] for i, count in enumerate(LEVELS[:-1], 1)}
+        fine = (ANSWERED, *LEVELS[1:-1])
+        ups = {f"up{i}": [1, count, INTERPOLATION_SIZE] for i, count in enumerate(fine, 1)}
         expected = {name: ("tensor(float)", shape) for name, shape in floats.items()}
         expected |= {name: ("tensor(int32)", shape) for name, shape in (groups | ups).items()}
         for value in (*self.session.get_inputs(), *self.session.get_outputs()):

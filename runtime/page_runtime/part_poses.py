@@ -24,7 +24,7 @@ from page_runtime.stopwatch import Stopwatch
 from page_runtime.template import Template
 from page_runtime.uncertainty import with_common_error
 
-MIN_PART_POINTS = 24
+MIN_PART_POINTS = 12
 MAX_VOTERS = 512
 # Of a frame: two to three times what the votes of 2048 points need; a bound where radii agree on nothing.
 MAX_EVALUATIONS = 40_000_000
@@ -37,7 +37,7 @@ def pose_from_output(
 ) -> ArticulatedPose:
     """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
     watch = watch or Stopwatch()
-    points = sample.points_camera[: sample.num_distinct]
+    points = sample.points_camera[: sample.num_distinct][: len(output.part_logits)]
     category = metadata.category
     members = members_of(output, sample.num_distinct)
     votes = votes_of(members, points, output, metadata)
