@@ -7,51 +7,64 @@ import numpy as np
 from page_runtime.category import Category, Joint, JointGeometry, Part
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
 
+Triple = tuple[float, float, float]
+
 _HINGED_FRAME = (
     "origin: centre of the part's box; +x: along the hinge, to the right of a user in front of the opening; "
     "+y: from the opening edge towards the hinge; +z: {up}"
 )
 
 
-def _opening(geometry: JointGeometry) -> Joint:
-    return Joint(
-        name="hinge",
-        parent=0,
-        child=1,
-        kind="revolute",
-        axis=(-1.0, 0.0, 0.0),
-        limits=(0.0, float(np.radians(200.0))),
-        geometry=geometry,
+def _part(name: str, frame: str, extents: Triple, diagonal_range_m: tuple[float, float]) -> Part:
+    return Part(
+        name=name,
+        frame=frame,
+        keypoints_unit=off_surface_keypoints(),
+        extents_unit=np.array(extents) / np.linalg.norm(extents),
+        diagonal_range_m=diagonal_range_m,
     )
 
 
 def _hinged(
     name: str,
     region_radius_m: float,
-    base_extents: tuple[float, float, float],
-    lid_extents: tuple[float, float, float],
+    base_extents: Triple,
+    lid_extents: Triple,
     diagonal_range_m: tuple[float, float],
     lid_up: str,
     hinge: JointGeometry,
 ) -> Category:
-    def part(part_name: str, extents: tuple[float, float, float], up: str) -> Part:
-        return Part(
-            name=part_name,
-            frame=_HINGED_FRAME.format(up=up),
-            keypoints_unit=off_surface_keypoints(),
-            extents_unit=np.array(extents) / np.linalg.norm(extents),
-            diagonal_range_m=diagonal_range_m,
-        )
-
+    opening = Joint("hinge", 0, 1, "revolute", (-1.0, 0.0, 0.0), (0.0, float(np.radians(200.0))), hinge)
     return Category(
         name=name,
         parts=(
-            part("base", base_extents, "up, away from the table"),
-            part("lid", lid_extents, lid_up),
+            _part("base", _HINGED_FRAME.format(up="up, away from the table"), base_extents, diagonal_range_m),
+            _part("lid", _HINGED_FRAME.format(up=lid_up), lid_extents, diagonal_range_m),
         ),
-        joints=(_opening(hinge),),
+        joints=(opening,),
         num_voted=NUM_VOTED,
         region_radius_m=region_radius_m,
+    )
+
+
+def _drawer() -> Category:
+    """Body and three drawers, which slide out towards the user."""
+    frame = (
+        "origin: centre of the part's box; +x: to the right of a user in front of the drawers; "
+        "+y: from the front to the back; +z: up"
+    )
+    names, joints = ("top", "middle", "bottom"), []
+    for k, name in enumerate(names, 1):
+        joints.append(Joint(f"{name} slide", 0, k, "prismatic", (0.0, -1.0, 0.0), (0.0, 0.6)))
+    return Category(
+        name="drawer",
+        parts=(
+            _part("body", frame, (0.4, 0.4, 0.6), (0.1, 1.6)),
+            *(_part(f"{name} drawer", frame, (0.35, 0.4, 0.15), (0.1, 1.2)) for name in names),
+        ),
+        joints=tuple(joints),
+        num_voted=NUM_VOTED,
+        region_radius_m=1.1,
     )
 
 
@@ -71,6 +84,7 @@ CATEGORIES: dict[str, Category] = {
             (0.0, 0.472, 0.474), (0.0, 0.484, -0.054), (0.003, 0.008, 0.009), (0.003, 0.010, 0.005), -0.017, 0.01
         ),
     ),
+    "drawer": _drawer(),
 }  # fmt: skip
 
 
