@@ -53,22 +53,52 @@ def _drawer() -> Category:
         "origin: centre of the part's box; +x: to the right of a user in front of the drawers; "
         "+y: from the front to the back; +z: up"
     )
-    names, joints = ("top", "middle", "bottom"), []
-    for k, name in enumerate(names, 1):
-        joints.append(Joint(f"{name} slide", 0, k, "prismatic", (0.0, -1.0, 0.0), (0.0, 0.6)))
+    names = ("top", "middle", "bottom")
+    places = (
+        JointGeometry(
+            (0.0, -0.484, 0.324), (0.0, -0.406, 0.0), (0.026, 0.014, 0.037), (0.003, 0.045, 0.003), -0.428, 0.163
+        ),
+        JointGeometry(
+            (0.0, -0.484, 0.04), (0.0, -0.406, 0.0), (0.026, 0.014, 0.043), (0.003, 0.045, 0.003), -0.423, 0.158
+        ),
+        JointGeometry(
+            (0.0, -0.484, -0.259), (0.0, -0.406, 0.0), (0.026, 0.014, 0.05), (0.003, 0.045, 0.003), -0.418, 0.155
+        ),
+    )
     return Category(
         name="drawer",
         parts=(
-            _part("body", frame, (0.4, 0.4, 0.6), (0.1, 1.6)),
-            *(_part(f"{name} drawer", frame, (0.35, 0.4, 0.15), (0.1, 1.2)) for name in names),
+            _part("body", frame, (0.539, 0.499, 0.678), (0.13, 1.97)),
+            *(_part(f"{name} drawer", frame, (0.7, 0.654, 0.29), (0.08, 1.5)) for name in names),
         ),
-        joints=tuple(joints),
+        joints=tuple(
+            Joint(f"{name} slide", 0, k, "prismatic", (0.0, -1.0, 0.0), (0.0, 0.6), place)
+            for k, (name, place) in enumerate(zip(names, places, strict=True), 1)
+        ),
         num_voted=NUM_VOTED,
-        region_radius_m=1.1,
+        region_radius_m=0.95,
     )
 
 
-# Where the hinges are: mean and spread over instances of the scenes, at least 3 mm a metre.
+def _scissors() -> Category:
+    """Two blades; a half turn about y makes each of them the other."""
+    frame = (
+        "origin: centre of the part's box; +y: from the handles to the tips of the closed scissors; +z: out of their "
+        "face, so that the {name} blade's tip opens to the {side}; +x: to the right, seen from +z with the tips up"
+    )
+    return Category(
+        name="scissors",
+        parts=(
+            _part("first blade", frame.format(name="first", side="right"), (0.3, 0.9, 0.05), (0.08, 0.42)),
+            _part("second blade", frame.format(name="second", side="left"), (0.3, 0.9, 0.05), (0.08, 0.42)),
+        ),
+        joints=(Joint("pivot", 0, 1, "revolute", (0.0, 0.0, 1.0), (0.0, float(np.radians(115.0)))),),
+        num_voted=NUM_VOTED,
+        region_radius_m=0.3,
+    )
+
+
+# Sizes and where the joints are: mean and spread over instances of the scenes, at least 3 mm a metre.
 CATEGORIES: dict[str, Category] = {
     "box": _hinged(
         "box", 0.42, (0.225, 0.095, 0.035), (0.225, 0.095, 0.012), (0.09, 0.55),
@@ -85,6 +115,7 @@ CATEGORIES: dict[str, Category] = {
         ),
     ),
     "drawer": _drawer(),
+    "scissors": _scissors(),
 }  # fmt: skip
 
 

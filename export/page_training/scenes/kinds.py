@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from page_training.scenes import box, drawer, laptop
+from page_training.scenes import box, drawer, laptop, scissors
 from page_training.scenes.articulated import ArticulatedObject, States
 from page_training.scenes.resting import Rest, upright_rest
 from page_training.scenes.textures import Generator
@@ -15,7 +15,8 @@ from page_training.scenes.textures import Generator
 class SceneCategory:
     """sample_states: of the object's joints. distance_m: nearest and farthest camera for an object. rest: how it rests.
     on_table: how often an object stands on a table, else on the floor.
-    camera_tries: viewpoints tried until the object is seen well. hard_views: share kept of those that hide parts.
+    camera_tries: viewpoints tried until the object is seen well; last_tries: then, without occluders, until it is seen
+    at all. hard_views: share kept of those that hide parts.
     """
 
     sample_object: Callable[[Generator], ArticulatedObject]
@@ -24,15 +25,19 @@ class SceneCategory:
     rest: Callable[[Generator], Rest] = upright_rest
     on_table: Callable[[ArticulatedObject], float] = lambda _: 0.85
     camera_tries: int = 12
+    last_tries: int = 8
     hard_views: float = 0.1
 
 
 CATEGORIES: dict[str, SceneCategory] = {
-    "box": SceneCategory(box.sample_object, box.sample_states, box.distance_m, camera_tries=5, hard_views=0.25),
+    "box": SceneCategory(box.sample_object, box.sample_states, box.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
     "drawer": SceneCategory(
         drawer.sample_object, drawer.sample_states, drawer.distance_m, on_table=drawer.on_table
     ),
-    "laptop": SceneCategory(laptop.sample_object, laptop.sample_states, laptop.distance_m, camera_tries=5, hard_views=0.25),
+    "laptop": SceneCategory(laptop.sample_object, laptop.sample_states, laptop.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
+    "scissors": SceneCategory(
+        scissors.sample_object, scissors.sample_states, scissors.distance_m, scissors.rest
+    ),
 }
 
 

@@ -178,7 +178,12 @@ def sample_scene(category: str, rng: Generator) -> Scene:
         hard = sorted(shares)[(len(shares) - 1) // 3] < MIN_VISIBLE_SHARE
         if max(shares) > MIN_BEST_SHARE and (not hard or rng.random() < kind.hard_views):
             return scene
-    return look(occluded=False)
+    scene = look(occluded=False)
+    for _ in range(kind.last_tries - 1):
+        if any(scene.coverage.visible_px):
+            break
+        scene = look(occluded=False)
+    return scene
 
 
 def _neighbour(rng: Generator, kind: SceneCategory, footprint: Footprint) -> list[Mesh]:
