@@ -86,15 +86,69 @@ def _scissors() -> Category:
         "origin: centre of the part's box; +y: from the handles to the tips of the closed scissors; +z: out of their "
         "face, so that the {name} blade's tip opens to the {side}; +x: to the right, seen from +z with the tips up"
     )
+    place = JointGeometry(
+        (0.32, 0.049, -0.036), (-0.32, 0.049, 0.029), (0.021, 0.083, 0.004), (0.021, 0.082, 0.004), 0.0, 0.018
+    )
     return Category(
         name="scissors",
         parts=(
-            _part("first blade", frame.format(name="first", side="right"), (0.3, 0.9, 0.05), (0.08, 0.42)),
-            _part("second blade", frame.format(name="second", side="left"), (0.3, 0.9, 0.05), (0.08, 0.42)),
+            _part("first blade", frame.format(name="first", side="right"), (0.293, 0.955, 0.052), (0.07, 0.42)),
+            _part("second blade", frame.format(name="second", side="left"), (0.293, 0.955, 0.052), (0.07, 0.42)),
         ),
-        joints=(Joint("pivot", 0, 1, "revolute", (0.0, 0.0, 1.0), (0.0, float(np.radians(115.0)))),),
+        joints=(Joint("pivot", 0, 1, "revolute", (0.0, 0.0, 1.0), (0.0, float(np.radians(115.0))), place),),
         num_voted=NUM_VOTED,
         region_radius_m=0.3,
+    )
+
+
+def _eyeglasses() -> Category:
+    """Front and two temples, each the other's mirror image."""
+    frame = (
+        "origin: centre of the part's box; +y: from the front backwards, as the temples point when they are open; "
+        "+z: up, as worn; +x: to the wearer's left"
+    )
+    limits = (-0.3, 1.8)
+    left, right = (
+        JointGeometry(
+            (sign * 0.48, 0.448, 0.214), (sign * 0.33, -0.492, 0.327), (0.012, 0.01, 0.033), (0.008, 0.005, 0.032),
+            -0.148, 0.101,
+        )
+        for sign in (1.0, -1.0)
+    )  # fmt: skip
+    return Category(
+        name="eyeglasses",
+        parts=(
+            _part("front", frame, (0.954, 0.137, 0.267), (0.07, 0.26)),
+            _part("left temple", frame, (0.078, 0.964, 0.255), (0.06, 0.24)),
+            _part("right temple", frame, (0.078, 0.964, 0.255), (0.06, 0.24)),
+        ),
+        joints=(
+            Joint("left hinge", 0, 1, "revolute", (0.0, 0.0, 1.0), limits, left),
+            Joint("right hinge", 0, 2, "revolute", (0.0, 0.0, -1.0), limits, right),
+        ),
+        num_voted=NUM_VOTED,
+        region_radius_m=0.26,
+    )
+
+
+def _dishwasher() -> Category:
+    """Housing and the door, which opens downwards."""
+    frame = (
+        "origin: centre of the part's box; +x: along the hinge, to the right of a user in front of the door; "
+        "+y: from the front to the back, for the door when closed; +z: up, for the door when closed"
+    )
+    place = JointGeometry(
+        (0.0, -0.493, -0.406), (0.0, 0.153, -0.475), (0.003, 0.023, 0.033), (0.003, 0.018, 0.015), -0.275, 0.08
+    )
+    return Category(
+        name="dishwasher",
+        parts=(
+            _part("housing", frame, (0.51, 0.534, 0.674), (0.1, 1.9)),
+            _part("door", frame, (0.654, 0.106, 0.749), (0.08, 1.55)),
+        ),
+        joints=(Joint("hinge", 0, 1, "revolute", (1.0, 0.0, 0.0), (0.0, float(np.radians(100.0))), place),),
+        num_voted=NUM_VOTED,
+        region_radius_m=1.0,
     )
 
 
@@ -114,7 +168,9 @@ CATEGORIES: dict[str, Category] = {
             (0.0, 0.472, 0.474), (0.0, 0.484, -0.054), (0.003, 0.008, 0.009), (0.003, 0.010, 0.005), -0.017, 0.01
         ),
     ),
+    "dishwasher": _dishwasher(),
     "drawer": _drawer(),
+    "eyeglasses": _eyeglasses(),
     "scissors": _scissors(),
 }  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from page_training.scenes import box, drawer, laptop, scissors
+from page_training.scenes import box, dishwasher, drawer, eyeglasses, laptop, scissors
 from page_training.scenes.articulated import ArticulatedObject, States
 from page_training.scenes.resting import Rest, upright_rest
 from page_training.scenes.textures import Generator
@@ -31,8 +31,14 @@ class SceneCategory:
 
 CATEGORIES: dict[str, SceneCategory] = {
     "box": SceneCategory(box.sample_object, box.sample_states, box.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
+    "dishwasher": SceneCategory(
+        dishwasher.sample_object, dishwasher.sample_states, dishwasher.distance_m, on_table=dishwasher.on_table
+    ),
     "drawer": SceneCategory(
         drawer.sample_object, drawer.sample_states, drawer.distance_m, on_table=drawer.on_table
+    ),
+    "eyeglasses": SceneCategory(
+        eyeglasses.sample_object, eyeglasses.sample_states, eyeglasses.distance_m, eyeglasses.rest
     ),
     "laptop": SceneCategory(laptop.sample_object, laptop.sample_states, laptop.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
     "scissors": SceneCategory(

@@ -106,3 +106,15 @@ def ellipse(width: float, height: float, steps: int = 28, power: float = 1.0) ->
     unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     unit = np.sign(unit) * np.abs(unit) ** power
     return (unit * np.array([width / 2, height / 2])).astype(np.float32)
+
+
+def profile(outline_yz: Array, half_width: float, bevel: float, skins: Material | Sequence[Material]) -> Mesh:
+    """A slab whose outline (N,2) is of (y,z), standing across x from -half_width to half_width; skins as `plate`'s,
+    from -x to +x."""
+    made = slab(np.asarray(outline_yz, float), -half_width, half_width, bevel, skins)
+    return replace(made, vertices=made.vertices[:, [2, 0, 1]], local=made.local[:, [2, 0, 1]])
+
+
+def turned(mesh: Mesh, axis: Sequence[float], angle_rad: float) -> Mesh:
+    """The mesh turned about the origin."""
+    return moved(mesh, transform_from(rotation_about(np.array(axis, float), angle_rad), np.zeros(3)))
