@@ -152,6 +152,45 @@ def _dishwasher() -> Category:
     )
 
 
+def _stapler() -> Category:
+    """Base and arm; state 0 is the arm parallel to the base."""
+    frame = _HINGED_FRAME.replace("the opening", "the nose").replace("opening edge", "nose")
+    place = JointGeometry(
+        (0.0, 0.418, 0.32), (0.0, 0.442, -0.113), (0.003, 0.029, 0.013), (0.003, 0.021, 0.037), -0.084, 0.068
+    )
+    return Category(
+        name="stapler",
+        parts=(
+            _part("base", frame.format(up="up, from the base to the arm"), (0.231, 0.949, 0.216), (0.035, 0.52)),
+            _part("arm", frame.format(up="from the staples to the top of the arm"), (0.19, 0.961, 0.19), (0.035, 0.48)),
+        ),
+        joints=(Joint("hinge", 0, 1, "revolute", (-1.0, 0.0, 0.0), (0.0, float(np.radians(200.0))), place),),
+        num_voted=NUM_VOTED,
+        region_radius_m=0.4,
+    )
+
+
+def _cutter() -> Category:
+    """Handle and the blade with its slider; state 0 is the blade drawn in."""
+    frame = (
+        "origin: centre of the part's box; +y: along the handle, the way the blade comes out; "
+        "+z: out of the side on which the slider is; +x: to the right, seen from +z with the blade's tip up"
+    )
+    place = JointGeometry(
+        (0.0, 0.474, 0.0), (0.0, 0.511, -0.364), (0.003, 0.028, 0.003), (0.003, 0.003, 0.025), -0.399, 0.106
+    )
+    return Category(
+        name="cutter",
+        parts=(
+            _part("handle", frame, (0.173, 0.972, 0.157), (0.06, 0.28)),
+            _part("blade", frame, (0.137, 0.972, 0.19), (0.035, 0.22)),
+        ),
+        joints=(Joint("slide", 0, 1, "prismatic", (0.0, 1.0, 0.0), (0.0, 0.12), place),),
+        num_voted=NUM_VOTED,
+        region_radius_m=0.3,
+    )
+
+
 # Sizes and where the joints are: mean and spread over instances of the scenes, at least 3 mm a metre.
 CATEGORIES: dict[str, Category] = {
     "box": _hinged(
@@ -168,10 +207,12 @@ CATEGORIES: dict[str, Category] = {
             (0.0, 0.472, 0.474), (0.0, 0.484, -0.054), (0.003, 0.008, 0.009), (0.003, 0.010, 0.005), -0.017, 0.01
         ),
     ),
+    "cutter": _cutter(),
     "dishwasher": _dishwasher(),
     "drawer": _drawer(),
     "eyeglasses": _eyeglasses(),
     "scissors": _scissors(),
+    "stapler": _stapler(),
 }  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from page_training.scenes import box, dishwasher, drawer, eyeglasses, laptop, scissors
+from page_training.scenes import box, cutter, dishwasher, drawer, eyeglasses, laptop, scissors, stapler
 from page_training.scenes.articulated import ArticulatedObject, States
 from page_training.scenes.resting import Rest, upright_rest
 from page_training.scenes.textures import Generator
@@ -31,6 +31,7 @@ class SceneCategory:
 
 CATEGORIES: dict[str, SceneCategory] = {
     "box": SceneCategory(box.sample_object, box.sample_states, box.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
+    "cutter": SceneCategory(cutter.sample_object, cutter.sample_states, cutter.distance_m, cutter.rest),
     "dishwasher": SceneCategory(
         dishwasher.sample_object, dishwasher.sample_states, dishwasher.distance_m, on_table=dishwasher.on_table
     ),
@@ -44,6 +45,7 @@ CATEGORIES: dict[str, SceneCategory] = {
     "scissors": SceneCategory(
         scissors.sample_object, scissors.sample_states, scissors.distance_m, scissors.rest
     ),
+    "stapler": SceneCategory(stapler.sample_object, stapler.sample_states, stapler.distance_m, stapler.rest),
 }
 
 
