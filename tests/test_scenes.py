@@ -168,9 +168,7 @@ def test_normals_agree_with_the_noiseless_surface(views: list[SceneView]) -> Non
     assert np.mean(np.concatenate(agreement) > 0.99) > 0.55
 
 
-def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(
-    category: str, views: list[SceneView]
-) -> None:
+def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(category: str, views: list[SceneView]) -> None:
     kept, errors = [], []
     for view in views:
         depth, truth = view.frame.depth_m, view.noiseless_depth_m

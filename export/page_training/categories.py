@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from page_runtime.category import Category, Joint, JointGeometry, Part
+from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
 
 Triple = tuple[float, float, float]
@@ -98,6 +101,9 @@ def _scissors() -> Category:
         joints=(Joint("pivot", 0, 1, "revolute", (0.0, 0.0, 1.0), (0.0, float(np.radians(115.0))), place),),
         num_voted=NUM_VOTED,
         region_radius_m=0.3,
+        # Left-handed scissors are right-handed ones with the other blade on top.
+        mirror=Mirror(axis=2),
+        interchange=Interchange(parts=(1, 0), axis=(0.0, 1.0, 0.0)),
     )
 
 
@@ -128,6 +134,7 @@ def _eyeglasses() -> Category:
         ),
         num_voted=NUM_VOTED,
         region_radius_m=0.26,
+        mirror=Mirror(parts=(0, 2, 1)),
     )
 
 
@@ -191,8 +198,53 @@ def _cutter() -> Category:
     )
 
 
+def _arm() -> Category:
+    """A chain of seven links; at state 0 it stands straight up, its front towards -y."""
+    frame = (
+        "origin: centre of the part's box; of the arm stretched straight up (all joints at 0): +z: up along the chain; "
+        "+y: to the back, where the base has its connectors; +x: to the right of a user before its front"
+    )
+    yaw, pitch = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
+    joints = (
+        ("base yaw", yaw, 3.1, JointGeometry(
+            (0.0, -0.065, 0.5), (0.0, -0.072, -0.501), (0.003, 0.035, 0.003), (0.003, 0.055, 0.003), -0.116, 0.166)),
+        ("shoulder pitch", pitch, 1.9, JointGeometry(
+            (0.0, -0.204, 0.324), (0.0, -0.056, -0.397), (0.003, 0.061, 0.033), (0.003, 0.011, 0.021), 0.522, 0.229)),
+        ("elbow pitch", pitch, 2.6, JointGeometry(
+            (0.0, -0.056, 0.419), (0.0, -0.045, -0.238), (0.003, 0.011, 0.021), (0.003, 0.066, 0.064), -0.893, 0.205)),
+        ("forearm roll", yaw, 3.1, JointGeometry(
+            (0.0, -0.21, 0.5), (0.0, -0.113, -0.501), (0.003, 0.046, 0.004), (0.003, 0.016, 0.003), 0.277, 0.279)),
+        ("wrist pitch", pitch, 2.1, JointGeometry(
+            (0.0, -0.113, 0.421), (0.0, -0.131, -0.303), (0.003, 0.016, 0.026), (0.003, 0.015, 0.05), -0.793, 0.208)),
+        ("hand roll", yaw, 3.1, JointGeometry(
+            (0.0, -0.131, 0.5), (0.0, 0.0, -0.501), (0.003, 0.015, 0.003), (0.003, 0.003, 0.003), 0.347, 0.207)),
+    )  # fmt: skip
+    parts = (
+        ("base", (0.614, 0.709, 0.348), (0.03, 1.1)),
+        ("shoulder", (0.433, 0.639, 0.636), (0.025, 0.85)),
+        ("upper arm", (0.199, 0.221, 0.955), (0.07, 1.15)),
+        ("forearm", (0.352, 0.596, 0.721), (0.018, 0.62)),
+        ("wrist", (0.251, 0.26, 0.932), (0.035, 0.7)),
+        ("knuckle", (0.339, 0.435, 0.834), (0.015, 0.32)),
+        ("hand", (0.483, 0.261, 0.836), (0.018, 0.46)),
+    )
+    described = tuple(_part(name, frame, extents, diagonals) for name, extents, diagonals in parts)
+    hand = replace(described[-1], symmetry=Symmetry(axis=yaw, fold=2))
+    return Category(
+        name="arm",
+        parts=(*described[:-1], hand),
+        joints=tuple(
+            Joint(name, k, k + 1, "revolute", axis, (-limit, limit), place)
+            for k, (name, axis, limit, place) in enumerate(joints)
+        ),
+        num_voted=NUM_VOTED,
+        region_radius_m=1.1,
+    )
+
+
 # Sizes and where the joints are: mean and spread over instances of the scenes, at least 3 mm a metre.
 CATEGORIES: dict[str, Category] = {
+    "arm": _arm(),
     "box": _hinged(
         "box", 0.42, (0.225, 0.095, 0.035), (0.225, 0.095, 0.012), (0.09, 0.55),
         "outwards: up when closed, away from the box's inside when open",

@@ -18,8 +18,8 @@ from page_runtime.geometry import Array
 from page_runtime.similarity import FloatArray
 from page_runtime.template import Template
 from page_training.scenes.articulated import PartModel
-from page_training.scenes.meshes import Mesh
 from page_training.scenes.kinds import scene_category
+from page_training.scenes.meshes import Mesh
 from page_training.scenes.textures import Generator
 
 TEMPLATE_POINTS = 512

@@ -28,6 +28,7 @@ from page_training.network import network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import open_shards
 from page_training.run_folder import add_report, begin, require_same_run, validation_totals
+from page_training.targets import settled_targets
 from page_training.validation import validation_losses, validation_picture
 from page_training.workers import Workers, join_workers
 
@@ -159,7 +160,8 @@ def train(
         set_learning_rate(optimizers, step, steps, config)
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)
-        terms = page_loss(module(batch.inputs, batch.dense), batch.targets)
+        outputs = module(batch.inputs, batch.dense)
+        terms = page_loss(outputs, settled_targets(batch.truth, batch.targets, outputs, category))
         network.zero_grad(set_to_none=True)
         terms["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)

@@ -1,9 +1,9 @@
 """What all categories share: rigid parts, the joints between them, and where the parts are in given states.
 
-A category's module makes meshes that stand assembled at state 0, in one frame whose axes are those of the canonical part
-frames, and says where each joint is in it. Canonical part frames: the origin is the centre of the part's axis-aligned
-box (everything rigidly attached included); the axes are those of the assembly, so that at state 0 all part frames are
-parallel. What the axes are, and which way a joint moves, is the category's (`page_training.categories`).
+A category's module makes meshes that stand assembled at state 0, in one frame whose axes are those of the canonical
+part frames, and says where each joint is in it. Canonical part frames: the origin is the centre of the part's
+axis-aligned box (everything rigidly attached included); the axes are those of the assembly, so that at state 0 all part
+frames are parallel. What the axes are, and which way a joint moves, is the category's (`page_training.categories`).
 """
 
 from __future__ import annotations
@@ -100,16 +100,20 @@ def articulated_object(
     return ArticulatedObject(
         parts=tuple(models),
         joints=tuple(
-            JointModel(joint, np.array(point, float) - origins[joint.parent],
-                       np.array(point, float) - origins[joint.child], own)
+            JointModel(
+                joint,
+                np.array(point, float) - origins[joint.parent],
+                np.array(point, float) - origins[joint.child],
+                own,
+            )
             for joint, point, own in zip(joints, points, own_limits, strict=True)
         ),
         loose=tuple((part, shifted(mesh, *(-origins[part]))) for part, mesh in loose),
-    )  # fmt: skip
+    )
 
 
 def seen_from(model: ArticulatedObject, near: float, far: float) -> tuple[float, float]:
-    """Nearest and farthest camera, metres, `near` and `far` diagonals of the object away as far as depth cameras see."""
+    """Nearest and farthest camera, metres: `near` and `far` diagonals of the object away, as depth cameras allow."""
     diagonal_m = model.diagonal_m
     nearest = float(np.clip(near * diagonal_m, 0.28, 3.0))
     return nearest, float(np.clip(far * diagonal_m, nearest + 0.1, 4.0))

@@ -126,7 +126,14 @@ def _handle(rng: Generator, body: _Body, skin: Material, accent: Material, steel
     if rng.random() < 0.45:  # an end cap
         size = float(rng.uniform(0.04, 0.1)) * body.length
         wide = 0.42 * body.broad
-        meshes.append(block((-wide, -body.length / 2 - 0.3 * size, -0.9 * half), (wide, -body.length / 2 + size, 0.9 * half), accent, 0.001))
+        meshes.append(
+            block(
+                (-wide, -body.length / 2 - 0.3 * size, -0.9 * half),
+                (wide, -body.length / 2 + size, 0.9 * half),
+                accent,
+                0.001,
+            )
+        )
     if rng.random() < 0.3:  # a print
         w, h = 0.3 * body.broad, 0.18 * body.length
         label = printed(rng, random_color(rng), (-w, -h, 2 * w, 2 * h))
@@ -166,7 +173,9 @@ def _blade(
     if rng.random() < 0.6:
         count = int(rng.integers(3, 6))
         rib = block((-across / 2, 0, 0), (across / 2, 0.001, 0.0008), accent)
-        offsets = np.stack([np.zeros(count), y + long * np.linspace(0.2, 0.8, count), np.full(count, top + tall)], axis=1)
+        offsets = np.stack(
+            [np.zeros(count), y + long * np.linspace(0.2, 0.8, count), np.full(count, top + tall)], axis=1
+        )
         button.append(repeated(rib, offsets))
     if not body.on_edge and rng.random() < 0.2:  # a wheel that locks the blade
         wheel = revolved([(0.45 * across, 0), (0.4 * across, 0.004)], accent, 16)

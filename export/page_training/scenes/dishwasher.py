@@ -98,7 +98,9 @@ def _dishes(rng: Generator, width: float, depth: float, tall: float) -> list[Mes
     if rng.random() < 0.5:
         skin = plain(rng, gray(rng, 0.75, 1.0) if rng.random() < 0.7 else random_color(rng))
         radius = 0.45 * min(tall * 2, 0.5 * depth)
-        plate = upright_to("x", revolved([(0.5 * radius, 0), (radius, 0.08 * radius), (radius, 0.1 * radius)], skin, 16))
+        plate = upright_to(
+            "x", revolved([(0.5 * radius, 0), (radius, 0.08 * radius), (radius, 0.1 * radius)], skin, 16)
+        )
         for x in np.linspace(-0.35, 0.35, int(rng.integers(2, 7))):
             things.append(shifted(plate, x * width, depth * float(rng.uniform(0.4, 0.6)), radius))
     for _ in range(int(rng.integers(0, 4))):
@@ -160,7 +162,9 @@ def _housing(rng: Generator, body: _Body, skin: Material, tub: Material) -> list
     if rng.random() < 0.45:  # worktop
         over = float(rng.uniform(0.0, 0.03)) * body.width
         slab_skin = finish(rng)
-        meshes.append(block((-w - over, -over - body.door * 0.5, h), (w + over, d, h + rng.uniform(0.01, 0.05) * h), slab_skin))
+        meshes.append(
+            block((-w - over, -over - body.door * 0.5, h), (w + over, d, h + rng.uniform(0.01, 0.05) * h), slab_skin)
+        )
     if rng.random() < 0.85:  # racks
         wire = plain(rng, gray(rng, 0.4, 0.95) if rng.random() < 0.75 else random_color(rng))
         inner = body.width - 2 * t
@@ -184,12 +188,16 @@ def _door(rng: Generator, body: _Body, skin: Material, tub: Material) -> list[Me
     if rng.random() < 0.7:  # detergent dispenser, rinse aid
         plastic = plain(rng, gray(rng, 0.5, 0.95) if rng.random() < 0.6 else gray(rng, 0.05, 0.3))
         x, z = inner * float(rng.uniform(-0.4, 0.4)), low + tall * float(rng.uniform(0.4, 0.65))
-        meshes.append(block((x - 0.18 * w, -1e-4, z - 0.07 * tall), (x + 0.18 * w, 0.008, z + 0.07 * tall), plastic, 0.003))
+        meshes.append(
+            block((x - 0.18 * w, -1e-4, z - 0.07 * tall), (x + 0.18 * w, 0.008, z + 0.07 * tall), plastic, 0.003)
+        )
         cap = upright_to("y", revolved([(0.05 * w, 0), (0.05 * w, 0.01)], plastic, 12))
         meshes.append(shifted(cap, x + 0.28 * w, 0.0, z))
     if rng.random() < 0.25:  # pressed ribs
         for z in np.linspace(0.15, 0.35, 3):
-            meshes.append(block((-0.8 * inner, -1e-4, low + z * tall), (0.8 * inner, 0.004, low + (z + 0.03) * tall), tub))
+            meshes.append(
+                block((-0.8 * inner, -1e-4, low + z * tall), (0.8 * inner, 0.004, low + (z + 0.03) * tall), tub)
+            )
     strip = float(rng.uniform(0.08, 0.17)) * tall
     if body.head < 0.06 * body.height and rng.random() < 0.75:  # controls in the door
         panel = related(rng, skin) if rng.random() < 0.7 else plain(rng, gray(rng, 0.02, 0.2))
@@ -199,9 +207,11 @@ def _door(rng: Generator, body: _Body, skin: Material, tub: Material) -> list[Me
     if rng.random() < 0.2:  # a framed panel, as kitchen fronts have
         rail = 0.12 * w
         for box in (
-            ((-w, low), (w, low + rail)), ((-w, high - strip - rail), (w, high - strip)),
-            ((-w, low), (-w + rail, high - strip)), ((w - rail, low), (w, high - strip)),
-        ):  # fmt: skip
+            ((-w, low), (w, low + rail)),
+            ((-w, high - strip - rail), (w, high - strip)),
+            ((-w, low), (-w + rail, high - strip)),
+            ((w - rail, low), (w, high - strip)),
+        ):
             meshes.append(block((box[0][0], -t - 0.006, box[0][1]), (box[1][0], -t + 1e-4, box[1][1]), outer))
     handle = sample_handle(rng, 2 * w * 0.9, 0.25 * tall, chance=0.8)
     place = high - strip * float(rng.uniform(0.4, 1.6))
@@ -247,7 +257,9 @@ def sample_object(rng: Generator) -> ArticulatedObject:
         skin = finish(rng)
     door_skin = skin if rng.random() < 0.7 else finish(rng)
     draw = rng.random()
-    tub_color = gray(rng, 0.4, 0.85) if draw < 0.7 else hsv_color(rng.random(), rng.uniform(0, 0.3), rng.uniform(0.3, 1.0))
+    tub_color = (
+        gray(rng, 0.4, 0.85) if draw < 0.7 else hsv_color(rng.random(), rng.uniform(0, 0.3), rng.uniform(0.3, 1.0))
+    )
     tub = plain(rng, tub_color, contrast=0.05)
     housing, door = _housing(rng, body, skin, tub), _door(rng, body, door_skin, tub)
     loose: list[tuple[int, Mesh]] = []
@@ -259,6 +271,10 @@ def sample_object(rng: Generator) -> ArticulatedObject:
     if rng.random() < 0.2:
         thing = cuboid(rng.uniform(0.05, 0.25, 3).tolist(), plain(rng, random_color(rng)), bevel=0.003)
         loose.append((0, shifted(thing, *(rng.uniform(-0.3, 0.3) * body.width, 0.5 * body.depth, body.height * 1.1))))
-    hinge = (0.0, -body.door * float(rng.uniform(0.0, 0.8)), body.kick + 0.004 * body.height + body.door * float(rng.uniform(0.0, 0.6)))
+    hinge = (
+        0.0,
+        -body.door * float(rng.uniform(0.0, 0.8)),
+        body.kick + 0.004 * body.height + body.door * float(rng.uniform(0.0, 0.6)),
+    )
     limit = (0.0, float(np.radians(rng.uniform(80, 97))))
     return articulated_object(CATEGORIES["dishwasher"].joints, (housing, door), (hinge,), loose=loose, limits=[limit])

@@ -132,8 +132,11 @@ def _front(
         rail, deep = 0.12 * min(width, height) + 0.002, 0.3 * thick
         w, h = width / 2, height / 2
         for low, high in (
-            ((-w, -h), (w, -h + rail)), ((-w, h - rail), (w, h)), ((-w, -h), (-w + rail, h)), ((w - rail, -h), (w, h)),
-        ):  # fmt: skip
+            ((-w, -h), (w, -h + rail)),
+            ((-w, h - rail), (w, h)),
+            ((-w, -h), (-w + rail, h)),
+            ((w - rail, -h), (w, h)),
+        ):
             meshes.append(block((low[0], -deep, low[1]), (high[0], 1e-4, high[1]), accent))
     elif style < 0.25:  # a panel in the middle
         w, h = 0.42 * width, 0.36 * height

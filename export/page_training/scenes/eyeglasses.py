@@ -1,4 +1,4 @@
-"""Category "eyeglasses": spectacles, sunglasses, goggles; frames of wire and of plastic, with rims, half of them or none."""
+"""Category "eyeglasses": spectacles, sunglasses, goggles; of wire and of plastic, with rims or without."""
 
 from __future__ import annotations
 
@@ -108,12 +108,16 @@ def _lens_skin(rng: Generator) -> Material | None:
     draw = rng.random()
     if draw < 0.45:
         return None
-    color = gray(rng, 0.01, 0.12) if draw < 0.8 else hsv_color(rng.random(), rng.uniform(0.2, 0.9), rng.uniform(0.1, 0.7))
+    color = (
+        gray(rng, 0.01, 0.12) if draw < 0.8 else hsv_color(rng.random(), rng.uniform(0.2, 0.9), rng.uniform(0.1, 0.7))
+    )
     look = plain(rng, color, contrast=0.03)
     return replace(
-        look, specular=float(rng.uniform(0.3, 0.9)), gloss=float(rng.uniform(30, 150)),
+        look,
+        specular=float(rng.uniform(0.3, 0.9)),
+        gloss=float(rng.uniform(30, 150)),
         opacity_to_depth=float(rng.uniform(0.4, 1.0)),
-    )  # fmt: skip
+    )
 
 
 def _front(rng: Generator, frame: _Frame, skin: Material, accent: Material) -> list[Mesh]:
@@ -198,7 +202,12 @@ def _temple_sizes(rng: Generator, frame: _Frame) -> _Temple:
         tip = (float(np.clip(tall * rng.uniform(0.4, 1.2), 0.002, 0.009)), thick * float(rng.uniform(0.5, 1.0)))
     drop = float(rng.choice([rng.uniform(0.0, 0.008), rng.uniform(0.012, 0.045)], p=[0.2, 0.8]))
     return _Temple(
-        length, (tall, tip[0]), (thick, tip[1]), drop, length * float(rng.uniform(0.2, 0.4)), float(rng.uniform(0, 0.012))
+        length,
+        (tall, tip[0]),
+        (thick, tip[1]),
+        drop,
+        length * float(rng.uniform(0.2, 0.4)),
+        float(rng.uniform(0, 0.012)),
     )
 
 
@@ -217,7 +226,9 @@ def _temple(rng: Generator, frame: _Frame, temple: _Temple, sign: float, skin: M
     cut = 10 if tip is not skin else 14
     meshes = [tube(path[:cut], across, thick[:cut], tall[:cut], skin, corner=0.5, steps=8)]
     if cut < 14:
-        meshes.append(tube(path[cut - 1 :], across, 1.25 * thick[cut - 1 :] + 5e-4, 1.2 * tall[cut - 1 :], tip, corner=0.8))
+        meshes.append(
+            tube(path[cut - 1 :], across, 1.25 * thick[cut - 1 :] + 5e-4, 1.2 * tall[cut - 1 :], tip, corner=0.8)
+        )
     if rng.random() < 0.7:  # the hinge's barrel
         half = max(temple.tall[0], 0.003) / 2
         place = np.array([sign * (frame.width / 2 - 0.0015), frame.hinge_y, frame.hinge_z])

@@ -75,6 +75,10 @@ def decorated(rng: Generator, base: Material, rect: tuple[float, float, float, f
     return printed(rng, np.asarray(base.table[128]), rect, kind)
 
 
+def _no_handle(*_: float) -> list[Mesh]:
+    return []
+
+
 Handle = Callable[[float, float, float], list[Mesh]]
 
 
@@ -88,7 +92,7 @@ def sample_handle(rng: Generator, width: float, height: float, *, chance: float 
     out = float(np.clip(rng.uniform(0.1, 0.4) * small, 0.006, 0.05))
     draw = rng.random()
     if draw > chance:
-        return lambda x, y, z: []
+        return _no_handle
     draw /= chance
     if draw < 0.3:
         return _knob(rng, skin, small, out)
@@ -149,7 +153,11 @@ def _cup(rng: Generator, skin: Material, width: float, out: float) -> Handle:
 
 def _strip(rng: Generator, skin: Material, width: float, height: float) -> Handle:
     """A dark groove or a strip glued on, along the front."""
-    size = (width * float(rng.uniform(0.2, 0.95)), 0.0015 + 0.1 * height * rng.random() ** 3, height * float(rng.uniform(0.05, 0.2)))
+    size = (
+        width * float(rng.uniform(0.2, 0.95)),
+        0.0015 + 0.1 * height * rng.random() ** 3,
+        height * float(rng.uniform(0.05, 0.2)),
+    )
     dark = plain(rng, gray(rng, 0.02, 0.2)) if rng.random() < 0.6 else skin
     made = block((-size[0] / 2, -size[1], -size[2] / 2), (size[0] / 2, 1e-4, size[2] / 2), dark)
     return lambda x, y, z: [shifted(made, x, y, z)]
@@ -164,7 +172,9 @@ def _ring(rng: Generator, skin: Material, small: float) -> Handle:
     return lambda x, y, z: [shifted(plate, x, y, z), shifted(ring, x, y, z)]
 
 
-def feet(rng: Generator, low: tuple[float, float], high: tuple[float, float], skin: Material) -> tuple[list[Mesh], float]:
+def feet(
+    rng: Generator, low: tuple[float, float], high: tuple[float, float], skin: Material
+) -> tuple[list[Mesh], float]:
     """Feet under a body whose floor plan reaches from low to high (x,y), standing on z = 0, and how high they are."""
     width, depth = high[0] - low[0], high[1] - low[1]
     size = min(width, depth)

@@ -1,11 +1,11 @@
-"""What there are scenes of: for each category how its objects are made, how they rest, and from how far they are seen."""
+"""What there are scenes of: for each category how objects are made, how they rest, and from how far they are seen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from page_training.scenes import box, cutter, dishwasher, drawer, eyeglasses, laptop, scissors, stapler
+from page_training.scenes import arm, box, cutter, dishwasher, drawer, eyeglasses, laptop, scissors, stapler
 from page_training.scenes.articulated import ArticulatedObject, States
 from page_training.scenes.resting import Rest, upright_rest
 from page_training.scenes.textures import Generator
@@ -30,21 +30,22 @@ class SceneCategory:
 
 
 CATEGORIES: dict[str, SceneCategory] = {
-    "box": SceneCategory(box.sample_object, box.sample_states, box.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
+    "arm": SceneCategory(arm.sample_object, arm.sample_states, arm.distance_m, arm.rest, on_table=arm.on_table),
+    "box": SceneCategory(
+        box.sample_object, box.sample_states, box.distance_m, camera_tries=5, last_tries=1, hard_views=0.25
+    ),
     "cutter": SceneCategory(cutter.sample_object, cutter.sample_states, cutter.distance_m, cutter.rest),
     "dishwasher": SceneCategory(
         dishwasher.sample_object, dishwasher.sample_states, dishwasher.distance_m, on_table=dishwasher.on_table
     ),
-    "drawer": SceneCategory(
-        drawer.sample_object, drawer.sample_states, drawer.distance_m, on_table=drawer.on_table
-    ),
+    "drawer": SceneCategory(drawer.sample_object, drawer.sample_states, drawer.distance_m, on_table=drawer.on_table),
     "eyeglasses": SceneCategory(
         eyeglasses.sample_object, eyeglasses.sample_states, eyeglasses.distance_m, eyeglasses.rest
     ),
-    "laptop": SceneCategory(laptop.sample_object, laptop.sample_states, laptop.distance_m, camera_tries=5, last_tries=1, hard_views=0.25),
-    "scissors": SceneCategory(
-        scissors.sample_object, scissors.sample_states, scissors.distance_m, scissors.rest
+    "laptop": SceneCategory(
+        laptop.sample_object, laptop.sample_states, laptop.distance_m, camera_tries=5, last_tries=1, hard_views=0.25
     ),
+    "scissors": SceneCategory(scissors.sample_object, scissors.sample_states, scissors.distance_m, scissors.rest),
     "stapler": SceneCategory(stapler.sample_object, stapler.sample_states, stapler.distance_m, stapler.rest),
 }
 

@@ -91,7 +91,8 @@ class Scene:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Posed:
-    """meshes with their labels, 0 for what is no part, and T_world_part (4,4), of an object at rest turned by yaw_rad."""
+    """meshes with their labels, 0 for what is no part, and T_world_part (4,4), of an object at rest, turned by
+    yaw_rad."""
 
     meshes: list[Mesh]
     labels: list[int]

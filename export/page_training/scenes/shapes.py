@@ -17,22 +17,22 @@ X_AXIS = np.array([1.0, 0.0, 0.0])
 
 def block(low: Sequence[float], high: Sequence[float], skin: Material, bevel: float = 0.0) -> Mesh:
     """A cuboid between two corners, metres."""
-    size = [max(h - l, 1e-5) for l, h in zip(low, high, strict=True)]
+    size = [max(end - start, 1e-5) for start, end in zip(low, high, strict=True)]
     return shifted(
         cuboid(size, skin, bevel=min(bevel, 0.4 * min(size))), (low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]
     )
 
 
-def slab(
-    outline: Array, bottom: float, top: float, bevel: float, skins: Material | Sequence[Material]
-) -> Mesh:
+def slab(outline: Array, bottom: float, top: float, bevel: float, skins: Material | Sequence[Material]) -> Mesh:
     """A plate whose outline (N,2), seen whole from its mean point, may lie anywhere; skins as `plate`'s."""
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     loop = (outline - middle).astype(np.float32)
     return shifted(plate(loop, bottom, top, bevel, skins), float(middle[0]), float(middle[1]), 0.0)
 
 
-def rod(start: Array, end: Array, radius: float, skin: Material, steps: int = 12, end_radius: float | None = None) -> Mesh:
+def rod(
+    start: Array, end: Array, radius: float, skin: Material, steps: int = 12, end_radius: float | None = None
+) -> Mesh:
     """A round rod between two points, tapered to end_radius."""
     start, end = np.asarray(start, float), np.asarray(end, float)
     length = float(np.linalg.norm(end - start))

@@ -85,7 +85,9 @@ def _base(rng: Generator, body: _Body, skin: Material, steel: Material) -> list[
     share = np.linspace(-1, 1, 9)
     right = np.stack([w * (1 - (1 - waist) * (1 - share**2)), share * body.length / 2], axis=1)
     if rng.random() < 0.6:  # rounded ends
-        round_front = np.array([[w * np.cos(a), front - 0.35 * w * np.sin(a)] for a in np.linspace(0.4, np.pi - 0.4, 6)])
+        round_front = np.array(
+            [[w * np.cos(a), front - 0.35 * w * np.sin(a)] for a in np.linspace(0.4, np.pi - 0.4, 6)]
+        )
         outline = np.concatenate([right, right[::-1] * np.array([-1, 1]), round_front[::-1]])
     else:
         outline = np.concatenate([right, right[::-1] * np.array([-1, 1])])
@@ -96,7 +98,11 @@ def _base(rng: Generator, body: _Body, skin: Material, steel: Material) -> list[
     anvil_y = body.hinge_y - body.arm_length * float(rng.uniform(0.88, 0.95))
     size = (0.6 * body.arm_width, 0.5 * body.arm_width)
     meshes.append(
-        block((-size[0] / 2, anvil_y - size[1] / 2, body.base - 1e-4), (size[0] / 2, anvil_y + size[1] / 2, body.base + 1.2e-3), steel)
+        block(
+            (-size[0] / 2, anvil_y - size[1] / 2, body.base - 1e-4),
+            (size[0] / 2, anvil_y + size[1] / 2, body.base + 1.2e-3),
+            steel,
+        )
     )
     # Cheeks that carry the hinge.
     cheek = float(rng.uniform(0.06, 0.14)) * body.width
@@ -104,16 +110,32 @@ def _base(rng: Generator, body: _Body, skin: Material, steel: Material) -> list[
     high = body.hinge_z + float(rng.uniform(0.02, 0.06)) * body.length
     deep = float(rng.uniform(0.06, 0.13)) * body.length
     low_y, high_y = body.hinge_y - deep, min(body.hinge_y + deep, back)
-    shape = np.array([[low_y - 0.6 * deep, 0.8 * body.base], [high_y, 0.8 * body.base], [high_y, 0.7 * high + 0.3 * body.base],
-                      [body.hinge_y + 0.3 * deep, high], [body.hinge_y - 0.4 * deep, high]])  # fmt: skip
+    shape = np.array(
+        [
+            [low_y - 0.6 * deep, 0.8 * body.base],
+            [high_y, 0.8 * body.base],
+            [high_y, 0.7 * high + 0.3 * body.base],
+            [body.hinge_y + 0.3 * deep, high],
+            [body.hinge_y - 0.4 * deep, high],
+        ]
+    )
     cheek_skin = skin if rng.random() < 0.6 else steel
-    meshes += [shifted(profile(shape, cheek / 2, 0.2 * cheek, cheek_skin), side * (room + cheek / 2), 0, 0) for side in (-1, 1)]
-    pin = rod(np.array([-room - 1.3 * cheek, body.hinge_y, body.hinge_z]),
-              np.array([room + 1.3 * cheek, body.hinge_y, body.hinge_z]), 0.02 * body.length, steel, 10)  # fmt: skip
+    meshes += [
+        shifted(profile(shape, cheek / 2, 0.2 * cheek, cheek_skin), side * (room + cheek / 2), 0, 0) for side in (-1, 1)
+    ]
+    pin = rod(
+        np.array([-room - 1.3 * cheek, body.hinge_y, body.hinge_z]),
+        np.array([room + 1.3 * cheek, body.hinge_y, body.hinge_z]),
+        0.02 * body.length,
+        steel,
+        10,
+    )
     meshes.append(pin)
     if rng.random() < 0.4:  # the spring
         y = front + body.length * float(rng.uniform(0.45, 0.7))
-        meshes.append(block((-0.15 * w, y, body.base - 1e-4), (0.15 * w, y + 0.12 * body.length, body.base + 0.002), steel))
+        meshes.append(
+            block((-0.15 * w, y, body.base - 1e-4), (0.15 * w, y + 0.12 * body.length, body.base + 0.002), steel)
+        )
     return meshes
 
 
@@ -142,24 +164,48 @@ def _arm(rng: Generator, body: _Body, skin: Material, steel: Material) -> list[M
     if rng.random() < 0.5:  # a nose plate
         share = float(rng.uniform(0.3, 0.6))
         plate_skin = steel if rng.random() < 0.6 else plain(rng, random_color(rng))
-        meshes.append(block((-half * 0.95, nose_y - 0.004, body.low), (half * 0.95, nose_y + 0.004, body.low + share * body.tall), plate_skin))
+        meshes.append(
+            block(
+                (-half * 0.95, nose_y - 0.004, body.low),
+                (half * 0.95, nose_y + 0.004, body.low + share * body.tall),
+                plate_skin,
+            )
+        )
     draw = rng.random()
     if draw < 0.3:  # a rubber or coloured pad to press on
         pad = plain(rng, random_color(rng))
         y = nose_y + body.arm_length * float(rng.uniform(0.1, 0.3))
-        outline = np.array([[y, 0.0], [y + 0.35 * body.arm_length, 0.0], [y + 0.33 * body.arm_length, 0.05 * body.tall],
-                            [y + 0.05 * body.arm_length, 0.05 * body.tall]])  # fmt: skip
+        outline = np.array(
+            [
+                [y, 0.0],
+                [y + 0.35 * body.arm_length, 0.0],
+                [y + 0.33 * body.arm_length, 0.05 * body.tall],
+                [y + 0.05 * body.arm_length, 0.05 * body.tall],
+            ]
+        )
         top = float(cover.vertices[:, 2].max())
         meshes.append(shifted(profile(outline, 0.7 * half, 1e-4, pad), 0, 0, top - 0.03 * body.tall))
     elif draw < 0.5:  # a print on the sides
         label = printed(rng, random_color(rng), (nose_y, body.low + body.tall, body.arm_length, -body.tall))
         y, z = nose_y + 0.35 * body.arm_length, body.low + 0.5 * body.tall
-        meshes += [block((side * half - 5e-4, y, z), (side * half + 5e-4, y + 0.35 * body.arm_length, z + 0.18 * body.tall), label)
-                   for side in (-1, 1)]  # fmt: skip
+        meshes += [
+            block(
+                (side * half - 5e-4, y, z),
+                (side * half + 5e-4, y + 0.35 * body.arm_length, z + 0.18 * body.tall),
+                label,
+            )
+            for side in (-1, 1)
+        ]
     if rng.random() < 0.3:  # grooves for the thumb
         groove = block((-0.5 * half, 0, 0), (0.5 * half, 0.003, 0.0015), plain(rng, gray(rng, 0.02, 0.2)))
-        offsets = np.stack([np.zeros(4), nose_y + body.arm_length * (0.2 + 0.05 * np.arange(4)),
-                            np.full(4, float(cover.vertices[:, 2].max()) - 0.001)], axis=1)  # fmt: skip
+        offsets = np.stack(
+            [
+                np.zeros(4),
+                nose_y + body.arm_length * (0.2 + 0.05 * np.arange(4)),
+                np.full(4, float(cover.vertices[:, 2].max()) - 0.001),
+            ],
+            axis=1,
+        )
         meshes.append(repeated(groove, offsets))
     if rng.random() < 0.5:
         rivet = upright_to("x", revolved([(0.02 * body.length, 0), (0.015 * body.length, 0.002)], steel, 10))

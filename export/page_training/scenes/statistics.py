@@ -42,20 +42,20 @@ def joint_geometry(objects: Sequence[ArticulatedObject], joint: int) -> JointGeo
         fractions, shares = [], []
         for item in objects:
             model = item.joints[joint]
-            extents = item.parts[model.joint.child if child else model.joint.parent].extents_m
+            extents = item.parts[_end(item, joint, child=child)].extents_m
             fractions.append((model.pivot_child if child else model.pivot_parent) / extents)
             shares.append(extents / np.linalg.norm(extents))
-        diagonals.append([
-            np.linalg.norm(item.parts[item.joints[joint].joint.child if child else item.joints[joint].joint.parent].extents_m)
-            for item in objects
-        ])  # fmt: skip
+        diagonals.append([np.linalg.norm(item.parts[_end(item, joint, child=child)].extents_m) for item in objects])
         spread = np.std(fractions, axis=0) * np.mean(shares, axis=0)
         sides.append(_triple(np.mean(fractions, axis=0)))
         sigmas.append(_triple(np.maximum(spread, LEAST_SIGMA)))
     ratios = np.log(np.array(diagonals[1]) / np.array(diagonals[0]))
-    return JointGeometry(
-        *sides, *sigmas, float(ratios.mean()), max(float(ratios.std()), LEAST_SIZE_SIGMA)
-    )
+    return JointGeometry(*sides, *sigmas, float(ratios.mean()), max(float(ratios.std()), LEAST_SIZE_SIGMA))
+
+
+def _end(item: ArticulatedObject, joint: int, *, child: bool) -> int:
+    model = item.joints[joint].joint
+    return model.child if child else model.parent
 
 
 def _triple(values: Array) -> tuple[float, float, float]:
