@@ -205,11 +205,15 @@ def truth_of(category: Category, rng: np.random.Generator) -> Truth:
         own = np.minimum(labels[b], K - 1)
         points[b] = t[b, own] + rng.normal(0, 0.05, (D, 3))
     normals = rng.normal(size=(batch, D, 3))
-    as_tensor = [torch.from_numpy(one).float() for one in (R, t, extents)]
     return Truth(
-        *as_tensor, torch.from_numpy(labels), torch.from_numpy(labels[:, :16]),
-        torch.from_numpy(points).float(), torch.from_numpy(normals).float(),
-    )  # fmt: skip
+        R=torch.from_numpy(R).float(),
+        t=torch.from_numpy(t).float(),
+        extents_m=torch.from_numpy(extents).float(),
+        labels=torch.from_numpy(labels),
+        coarse_labels=torch.from_numpy(labels[:, :16]),
+        points=torch.from_numpy(points).float(),
+        normals=torch.from_numpy(normals).float(),
+    )
 
 
 def exact_outputs(truth: Truth, category: Category) -> NetworkOutputs:
