@@ -12,12 +12,14 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from page_runtime.boxes import EDGES, box_corners, box_iou, intersection_volume
+from page_runtime.category import Category, Part
 from page_runtime.evaluation import PartError, part_errors, rotation_error, summarise, translation_error
 from page_runtime.geometry import Array, apply, invert, rotation_about, transform_from
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import PartTruth
 
 Box = tuple[Array, Array]
+ONE_PART = Category("one", (Part("base", "", np.eye(3), np.ones(3), (0.1, 2.0)),), (), 3, 1.0)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -137,7 +139,9 @@ def moved(distance_m: float, angle_deg: float = 0.0) -> Array:
 
 
 def errors_of(*parts: PartPose | NotSeen, visible_share: float | None = 1.0) -> list[PartError]:
-    return [e for part in parts for e in part_errors(ArticulatedPose((part,), (), {}), [truth(visible_share)])]
+    return [
+        e for part in parts for e in part_errors(ONE_PART, ArticulatedPose((part,), (), {}), [truth(visible_share)])
+    ]
 
 
 def test_a_missing_part_is_a_failure_and_leaves_the_means_of_the_others_alone() -> None:
@@ -175,7 +179,7 @@ def test_figures_that_do_not_exist_are_null_and_never_nan(errors: list[PartError
 
 def test_truth_of_other_parts_is_refused() -> None:
     with pytest.raises(ValueError, match="expected the parts base of the bundle, got lid"):
-        part_errors(ArticulatedPose((estimate(np.eye(4)),), (), {}), [truth(name="lid")])
+        part_errors(ONE_PART, ArticulatedPose((estimate(np.eye(4)),), (), {}), [truth(name="lid")])
 
 
 @settings(deadline=None, max_examples=40)

@@ -88,7 +88,7 @@ def test_metadata_survives_the_round_trip(bundle: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (lambda d: d.update(version=99), "version 3, got 99"),
+        (lambda d: d.update(version=99), "version 4, got 99"),
         (lambda d: d.update(mirrored="yes"), "mirrored: expected true or false, got 'yes'"),
         (lambda d: d.pop("voxel_m"), "missing .*voxel_m"),
         (lambda d: d.update(surprise=1), "not understood .*surprise"),

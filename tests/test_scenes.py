@@ -8,16 +8,31 @@ import numpy as np
 import pytest
 
 from page_runtime.geometry import apply, invert, rotation_about
+from page_training.categories import category_named
 from page_training.scenes import CATEGORIES, SceneView, full_view, sample_scene, training_view
-from page_training.scenes.hinged import JOINT_AXIS
+from page_training.scenes.articulated import ArticulatedObject
+from page_training.scenes.kinds import scene_category
+from page_training.scenes.statistics import joint_geometry, part_statistics
 
-VIEWS = 24
+VIEWS = 16
+OBJECTS = 60
 
 
 @pytest.fixture(scope="module", params=sorted(CATEGORIES))
-def views(request: pytest.FixtureRequest) -> list[SceneView]:
+def category(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def views(category: str) -> list[SceneView]:
     rng = np.random.default_rng(7)
-    return [training_view(sample_scene(request.param, rng), rng) for _ in range(VIEWS)]
+    return [training_view(sample_scene(category, rng), rng) for _ in range(VIEWS)]
+
+
+@pytest.fixture(scope="module")
+def objects(category: str) -> list[ArticulatedObject]:
+    rng = np.random.default_rng(5)
+    return [scene_category(category).sample_object(rng) for _ in range(OBJECTS)]
 
 
 def _pixels(mask: np.ndarray) -> np.ndarray:
@@ -25,7 +40,6 @@ def _pixels(mask: np.ndarray) -> np.ndarray:
     return np.stack([columns, rows], axis=-1).astype(float)
 
 
-@pytest.mark.parametrize("category", sorted(CATEGORIES))
 def test_the_generator_alone_decides_a_view(category: str) -> None:
     one, other, another = (
         training_view(sample_scene(category, rng), rng)
@@ -47,25 +61,86 @@ def test_every_point_of_a_part_lies_in_its_box(views: list[SceneView]) -> None:
             assert (np.abs(points_part) <= truth.extents_m / 2 + 1e-3).all()
 
 
-def test_part_poses_obey_the_hinge(views: list[SceneView]) -> None:
+def test_part_poses_obey_the_joints_of_the_category(category: str, views: list[SceneView]) -> None:
     for view in views:
-        base, lid = (truth.T_camera_part for truth in view.truths)
-        T_base_lid = invert(base) @ lid
-        (state,) = view.joint_states
-        expected = rotation_about(np.array(JOINT_AXIS), state)
-        np.testing.assert_allclose(T_base_lid[:3, :3], expected, atol=1e-9)
-        assert 0 <= state <= np.pi
+        for joint, state in zip(category_named(category).joints, view.joint_states, strict=True):
+            parent, child = (view.truths[k].T_camera_part for k in (joint.parent, joint.child))
+            turn = (invert(parent) @ child)[:3, :3]
+            expected = rotation_about(np.array(joint.axis), state) if joint.kind == "revolute" else np.eye(3)
+            np.testing.assert_allclose(turn, expected, atol=1e-9)
+            assert joint.limits[0] <= state <= joint.limits[1]
 
 
-@pytest.mark.parametrize("category", sorted(CATEGORIES))
-def test_the_hinge_is_one_point_at_every_state(category: str) -> None:
-    model = CATEGORIES[category].sample_object(np.random.default_rng(5))
-    for state in np.linspace(0, np.pi, 7):
-        np.testing.assert_allclose(apply(model.T_base_lid(state), model.hinge_lid), model.hinge_base, atol=1e-12)
-    front_of_lid = np.array([0.0, -model.parts[1].extents_m[1] / 2, 0.0])
-    heights = [apply(model.T_base_lid(state), front_of_lid)[2] for state in (0.0, 0.5, 1.0)]
-    assert heights[0] < heights[1] < heights[2]
-    assert apply(model.T_base_lid(0.0), np.zeros(3))[2] > 0
+def test_a_joint_is_one_point_at_every_state_but_for_its_slide(objects: list[ArticulatedObject]) -> None:
+    for model in objects[:4]:
+        for share in np.linspace(0, 1, 5):
+            states = tuple(float(low + share * (high - low)) for low, high in (j.limits for j in model.joints))
+            poses = model.poses(np.eye(4), states)
+            for joint, state in zip(model.joints, states, strict=True):
+                one = apply(poses[joint.joint.parent], joint.pivot_parent)
+                other = apply(poses[joint.joint.child], joint.pivot_child)
+                if joint.joint.kind == "prismatic":
+                    one = one + poses[joint.joint.parent][:3, :3] @ (state * np.array(joint.joint.axis))
+                np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_states_lie_within_the_limits_of_the_object_and_those_within_the_category_s(
+    category: str, objects: list[ArticulatedObject]
+) -> None:
+    rng = np.random.default_rng(9)
+    for model in objects:
+        states = scene_category(category).sample_states(rng, model)
+        for joint, state in zip(model.joints, states, strict=True):
+            assert joint.limits[0] <= state <= joint.limits[1]
+            assert joint.joint.limits[0] <= joint.limits[0] < joint.limits[1] <= joint.joint.limits[1]
+
+
+def test_a_lid_that_opens_rises_at_its_front() -> None:
+    for category in ("box", "laptop"):
+        model = CATEGORIES[category].sample_object(np.random.default_rng(5))
+        front_of_lid = np.array([0.0, -model.parts[1].extents_m[1] / 2, 0.0])
+        heights = [apply(model.poses(np.eye(4), (state,))[1], front_of_lid)[2] for state in (0.0, 0.5, 1.0)]
+        assert heights[0] < heights[1] < heights[2]
+
+
+def test_drawers_come_out_at_the_front_in_the_order_of_their_names() -> None:
+    model = CATEGORIES["drawer"].sample_object(np.random.default_rng(5))
+    pulled = tuple(joint.limits[1] for joint in model.joints)
+    closed, opened = (np.array(model.poses(np.eye(4), states))[:, :3, 3] for states in ((0.0,) * 3, pulled))
+    np.testing.assert_allclose((opened - closed)[1:, 1], -np.array(pulled))
+    assert closed[1, 2] > closed[2, 2] > closed[3, 2]
+
+
+def test_the_category_describes_the_objects_of_its_scenes(category: str, objects: list[ArticulatedObject]) -> None:
+    described = category_named(category)
+    for k, part in enumerate(described.parts):
+        measured = part_statistics(objects, k)
+        np.testing.assert_allclose(part.extents_unit, measured.extents_unit, atol=0.08)
+        for model in objects:
+            assert part.diagonal_range_m[0] <= np.linalg.norm(model.parts[k].extents_m) <= part.diagonal_range_m[1]
+    for j, joint in enumerate(described.joints):
+        assert joint.geometry is not None
+        assert {(m.joints[j].joint.axis, m.joints[j].joint.kind) for m in objects} == {(joint.axis, joint.kind)}
+        geometry = joint_geometry(objects, j)
+        for side in ("parent", "child"):
+            given, found = (getattr(one, f"pivot_{side}") for one in (joint.geometry, geometry))
+            sigma = np.array(getattr(geometry, f"sigma_{side}"))
+            shares = described.parts[getattr(joint, side)].extents_unit
+            assert (np.abs(np.subtract(given, found)) * shares <= 0.6 * sigma + 0.01).all()
+        assert abs(joint.geometry.log_size_ratio - geometry.log_size_ratio) < 0.6 * geometry.log_size_sigma + 0.03
+
+
+def test_the_region_holds_the_object(category: str, views: list[SceneView]) -> None:
+    radius_m = category_named(category).region_radius_m
+    lost = []
+    for view in views:
+        mask = view.part_mask > 0
+        if not mask.any():
+            continue
+        points = view.frame.camera.backproject(_pixels(mask), view.noiseless_depth_m[mask])
+        middle = np.median(points, axis=0)
+        lost.append(float(np.mean(np.linalg.norm(points - middle, axis=1) > radius_m)))
+    assert np.mean(lost) < 0.01
 
 
 def test_normals_are_unit_and_face_the_camera(views: list[SceneView]) -> None:
@@ -86,12 +161,14 @@ def test_normals_agree_with_the_noiseless_surface(views: list[SceneView]) -> Non
         across, along = points[:-1, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, :-1]
         cross = np.cross(along, across)
         cross /= np.linalg.norm(cross, axis=-1, keepdims=True) + 1e-12
-        seen = view.part_mask[:-1, :-1] > 0
+        label = view.part_mask
+        # Within one part, away from its rim: thin parts are mostly rim.
+        seen = (label[:-1, :-1] > 0) & (label[:-1, :-1] == label[:-1, 1:]) & (label[:-1, :-1] == label[1:, :-1])
         agreement.append(np.abs(np.einsum("hwc,hwc->hw", cross, view.normals_camera[:-1, :-1]))[seen])
-    assert np.mean(np.concatenate(agreement) > 0.99) > 0.75
+    assert np.mean(np.concatenate(agreement) > 0.99) > 0.55
 
 
-def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(views: list[SceneView]) -> None:
+def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(category: str, views: list[SceneView]) -> None:
     kept, errors = [], []
     for view in views:
         depth, truth = view.frame.depth_m, view.noiseless_depth_m
@@ -102,16 +179,17 @@ def test_the_sensor_keeps_most_of_the_object_and_errs_around_the_truth(views: li
         kept.append(np.mean(depth[seen] > 0))
         measured = seen & (depth > 0)
         if measured.any():
-            errors.append(np.median(depth[measured] - truth[measured]))
-    assert np.median(kept) > 0.75
-    assert np.mean(np.array(kept) > 0.45) > 0.9
-    assert abs(np.median(errors)) < 0.003
-    assert np.percentile(np.abs(errors), 90) < 0.015
+            errors.append(np.median((depth[measured] - truth[measured]) / truth[measured]))
+    assert np.median(kept) > 0.65
+    assert np.mean(np.array(kept) > 0.4) > 0.85
+    assert abs(np.median(errors)) < 0.004
+    # Thin things are smeared with what is behind them, as stereo cameras do.
+    assert np.percentile(np.abs(errors), 90) < (0.06 if category == "eyeglasses" else 0.02)
 
 
 def test_masks_regions_and_shares_agree(views: list[SceneView]) -> None:
     for view in views:
-        assert set(np.unique(view.part_mask)) <= {0, 1, 2}
+        assert set(np.unique(view.part_mask)) <= set(range(len(view.truths) + 1))
         rows, columns = np.nonzero(view.part_mask)
         x, y, width, height = view.region
         assert (x, y) == (columns.min(), rows.min())
@@ -123,9 +201,9 @@ def test_masks_regions_and_shares_agree(views: list[SceneView]) -> None:
     assert np.mean(np.array(best) > 0.3) > 0.9
 
 
-def test_a_full_view_shows_the_same_poses_as_a_crop() -> None:
+def test_a_full_view_shows_the_same_poses_as_a_crop(category: str) -> None:
     rng = np.random.default_rng(11)
-    scene = sample_scene("box", rng)
+    scene = sample_scene(category, rng)
     crop, whole = training_view(scene, rng, 96), full_view(scene, rng, 320)
     assert crop.frame.color.shape == (96, 96, 3)
     height = round(scene.camera.height * 320 / scene.camera.width)
@@ -155,5 +233,5 @@ def test_nothing_is_seen_beyond_the_image_of_the_camera() -> None:
 
 
 def test_an_unknown_category_names_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"'box', 'laptop'.*'teapot'"):
+    with pytest.raises(ValueError, match=r"'box', .*'laptop'.*'teapot'"):
         sample_scene("teapot", np.random.default_rng(0))

@@ -206,7 +206,7 @@ def test_training_without_frames_says_how_to_make_them(tmp_path: Path) -> None:
 
 
 def test_an_unknown_category_names_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="box, laptop"):
+    with pytest.raises(ValueError, match=r"box, .*laptop"):
         category_named("teapot")
 
 

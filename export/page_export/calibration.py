@@ -48,7 +48,7 @@ def examples_from(network: Network, recording: Path) -> Iterator[Examples]:
             pose = estimate(network, recorded.frame, instance.region)
             hits = {
                 error.name: error.within(RIGHT_ROTATION_RAD, RIGHT_TRANSLATION_M)
-                for error in part_errors(pose, instance.truths)
+                for error in part_errors(network.metadata.category, pose, instance.truths)
             }
             for part in pose.parts:
                 if isinstance(part, PartPose) and part.name in hits:

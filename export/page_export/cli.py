@@ -114,7 +114,7 @@ def _onnx(options: argparse.Namespace) -> int:
 
     trained = load_trained(options.checkpoint)
     training = trained.config
-    mirrored = training["augmentation"]["flip_probability"] > 0.0
+    mirrored = trained.category.joints_mirror and training["augmentation"]["flip_probability"] > 0.0
     provenance: dict[str, Any] = {
         "trained_on": "procedural scenes only",
         "commit": _commit(),

@@ -16,13 +16,17 @@ from page_training.config import Augmentation
 from page_training.losses import Targets
 from page_training.network import NetworkInputs
 from page_training.records import NEIGHBOUR_TABLES
+from page_training.targets import Truth, renamed, targets_of
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
+    """truth: what the targets were made of, so that others that look the same can be (`targets`)."""
+
     inputs: NetworkInputs
     targets: Targets
     dense: Tensor
+    truth: Truth
 
 
 def _turns(generator: torch.Generator, batch: int, sigma: float) -> Tensor:
@@ -96,46 +100,49 @@ def make_batch(
     R, t = T_center_part[..., :3, :3], T_center_part[..., :3, 3]
     tables = [torch.from_numpy(records[name].astype(np.int64)) for name in NEIGHBOUR_TABLES]
     batch = len(records)
+    mirror_rule = category.mirror if category.joints_mirror else None
     if augmentation is not None:
         image = _augment_image(image, generator, augmentation)
         flip = torch.rand(batch, generator=generator) < augmentation.flip_probability
+        flip &= mirror_rule is not None
         image[flip] = image[flip].flip(-1)
         pixels[flip, :, 0] = (image.shape[-1] - 1) - pixels[flip, :, 0]
         sign = torch.where(flip, -1.0, 1.0).view(-1, 1, 1)
-        mirror = torch.diag_embed(torch.cat([sign, torch.ones(batch, 1, 2)], dim=2).squeeze(1))
-        # A mirrored object is again one of its category, with x of the part frame mirrored too: R' = F R F.
+        mirror = _reversal(sign, 0)
+        # A mirrored object is again one of its category, with an axis of the part frame mirrored too: R' = M R F.
+        part_mirror = mirror if mirror_rule is None else _reversal(sign, mirror_rule.axis)
+        if mirror_rule is not None and mirror_rule.parts:
+            R, t, extents_m, labels = renamed(flip, mirror_rule.parts, R, t, extents_m, labels)
         turn = _turns(generator, batch, augmentation.turn_sigma_rad) @ mirror
         scale = (augmentation.scale_sigma * torch.randn(batch, generator=generator)).exp().view(-1, 1, 1)
         points = scale * (points @ turn.transpose(1, 2))
         _jitter(points, tables, generator, augmentation)
         normals = normals @ turn.transpose(1, 2)
         t = scale * (t @ turn.transpose(1, 2))
-        R = turn.unsqueeze(1) @ R @ mirror.unsqueeze(1)
+        R = turn.unsqueeze(1) @ R @ part_mirror.unsqueeze(1)
         extents_m = scale * extents_m
-    diagonals_m = extents_m.norm(dim=-1)
-    keypoints_unit = torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).float()
-    keypoints = (diagonals_m[..., None, None] * keypoints_unit) @ R.transpose(-1, -2) + t.unsqueeze(-2)
-
     dense = choose_dense(labels, dense_points, num_parts + 1, generator)
-    dense_labels = labels.gather(1, dense)
-    own = dense_labels.clamp_max(num_parts - 1)
-    dense_keypoints = keypoints[torch.arange(batch).unsqueeze(1), own]
-    dense_points_m = torch.take_along_dim(points, dense.unsqueeze(-1), dim=1)
-    offset = dense_keypoints - dense_points_m.unsqueeze(2)
-    dense_normals = torch.take_along_dim(normals, dense.unsqueeze(-1), dim=1)
-    facing = (offset[:, :, : category.num_voted] * dense_normals.unsqueeze(2)).sum(-1)
+    truth = Truth(
+        R=R,
+        t=t,
+        extents_m=extents_m,
+        labels=labels.gather(1, dense),
+        coarse_labels=labels[:, : tables[0].shape[1]],
+        points=torch.take_along_dim(points, dense.unsqueeze(-1), dim=1),
+        normals=torch.take_along_dim(normals, dense.unsqueeze(-1), dim=1),
+    )
     unit = category.region_radius_m
     return Batch(
         inputs=NetworkInputs(image.contiguous(memory_format=torch.channels_last), points / unit, pixels, *tables),
-        targets=Targets(
-            labels=dense_labels,
-            coarse_labels=labels[:, : tables[0].shape[1]],
-            radii=offset.norm(dim=-1) / unit,
-            keypoints=dense_keypoints / unit,
-            sides=(facing > 0).float(),
-            part_keypoints=keypoints / unit,
-            extents_m=extents_m,
-            diagonals=diagonals_m / unit,
-        ),
+        targets=targets_of(truth, category),
         dense=dense,
+        truth=truth,
     )
+
+
+def _reversal(sign: Tensor, axis: int) -> Tensor:
+    """(B,3,3) diagonal of ones but for `sign` (B,1,1) at `axis`."""
+    ones = torch.ones(len(sign), 1, 2)
+    columns = [ones[..., :1]] * 3
+    columns[axis] = sign
+    return torch.diag_embed(torch.cat(columns, dim=2).squeeze(1))

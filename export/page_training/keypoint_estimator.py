@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from page_training.scenes.scene import CATEGORIES
+from page_training.categories import category_named
+from page_training.scenes.kinds import scene_category
 from page_training.scenes.textures import Generator
 from page_training.templates import evenly_spread, surface_samples
 
@@ -72,9 +73,9 @@ class KeypointEstimator(nn.Module):
 
 def part_clouds(category: str, rng: Generator, instances: int, points: int) -> list[NDArray[np.float32]]:
     """For each part (instances, points, 3) of its surface, evenly spread, canonical frame, in units of its diagonal."""
-    clouds: list[list[NDArray[np.float32]]] = [[] for _ in CATEGORIES[category].part_names]
+    clouds: list[list[NDArray[np.float32]]] = [[] for _ in category_named(category).parts]
     for _ in range(instances):
-        for own, part in zip(clouds, CATEGORIES[category].sample_object(rng).parts, strict=True):
+        for own, part in zip(clouds, scene_category(category).sample_object(rng).parts, strict=True):
             samples, _ = surface_samples(part.mesh, rng, 4 * points)
             unit = samples[evenly_spread(samples, points)] / np.linalg.norm(part.extents_m)
             own.append(unit.astype(np.float32))

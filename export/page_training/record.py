@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from page_runtime.category import Category
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
 from page_runtime.recording import RecordingWriter
 from page_runtime.sampling import Region
@@ -30,12 +31,12 @@ def jittered(region: Region, rng: np.random.Generator, width: int, height: int) 
     return x0, y0, max(2, min(width, round(right)) - x0), max(2, min(height, round(bottom)) - y0)
 
 
-def recorded_frame(view: SceneView, names: tuple[str, ...], rng: np.random.Generator) -> RecordedFrame:
-    """A scene view in the runtime's terms; the joint state belongs to the child part."""
-    states = (None, *view.joint_states)
+def recorded_frame(view: SceneView, category: Category, rng: np.random.Generator) -> RecordedFrame:
+    """A scene view in the runtime's terms; a joint's state belongs to its child part."""
+    states = {joint.child: state for joint, state in zip(category.joints, view.joint_states, strict=True)}
     truths = tuple(
-        PartTruth(name, truth.T_camera_part, truth.extents_m, truth.visible_share, state)
-        for name, truth, state in zip(names, view.truths, states, strict=True)
+        PartTruth(part.name, truth.T_camera_part, truth.extents_m, truth.visible_share, states.get(k))
+        for k, (part, truth) in enumerate(zip(category.parts, view.truths, strict=True))
     )
     camera = view.frame.camera
     region = jittered(view.region, rng, camera.width, camera.height)
@@ -63,7 +64,7 @@ def record_split(
     with RecordingWriter(path, category=category_name, part_names=names, color_suffix=color_suffix) as writer:
         for index in range(frames):
             view = full_view(sample_scene(category_name, rng), rng, width)
-            recorded = recorded_frame(view, names, rng)
+            recorded = recorded_frame(view, category, rng)
             timed = replace(recorded.frame, timestamp_s=index * FRAME_PERIOD_S, index=index)
             masks = [[view.part_mask == k + 1 for k in range(len(names))]]
             writer.write(RecordedFrame(timed, recorded.instances), masks=masks)

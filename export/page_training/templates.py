@@ -17,9 +17,9 @@ from page_runtime.category import Category
 from page_runtime.geometry import Array
 from page_runtime.similarity import FloatArray
 from page_runtime.template import Template
-from page_training.scenes.hinged import PartModel
+from page_training.scenes.articulated import PartModel
+from page_training.scenes.kinds import scene_category
 from page_training.scenes.meshes import Mesh
-from page_training.scenes.scene import CATEGORIES
 from page_training.scenes.textures import Generator
 
 TEMPLATE_POINTS = 512
@@ -44,14 +44,13 @@ def part_templates(
     instances: procedural objects it is chosen from; their number squared is compared. Raises ValueError for a category
     there are no scenes of.
     """
-    if category not in CATEGORIES:
-        raise ValueError(f"category: expected one of {sorted(CATEGORIES)}, got {category!r}")
+    kind = scene_category(category)
     if instances < 1 or points < 4:
         raise ValueError(f"expected at least 1 instance and 4 points, got {instances} and {points}; ask for more")
-    objects = [CATEGORIES[category].sample_object(rng) for _ in range(instances)]
+    objects = [kind.sample_object(rng) for _ in range(instances)]
     return tuple(
         central_template([template_of(item.parts[k], rng, points) for item in objects])
-        for k in range(len(CATEGORIES[category].part_names))
+        for k in range(len(objects[0].parts))
     )
 
 

@@ -28,6 +28,7 @@ from page_training.network import network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import fault_of, open_shards
 from page_training.run_folder import add_report, begin, require_same_run, validation_totals
+from page_training.targets import settled_targets
 from page_training.validation import validation_losses, validation_picture
 from page_training.workers import Workers, join_workers
 
@@ -190,9 +191,10 @@ def train(
         set_learning_rate(optimizers, step, steps, config)
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)
+        outputs = module(batch.inputs, batch.dense)
         terms = page_loss(
-            module(batch.inputs, batch.dense),
-            batch.targets,
+            outputs,
+            settled_targets(batch.truth, batch.targets, outputs, category),
             segmentation_weight=config.segmentation_weight,
             radius_weight=config.radius_weight,
         )

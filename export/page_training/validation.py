@@ -13,6 +13,7 @@ from page_runtime.category import Category
 from page_training.batches import Batch, make_batch
 from page_training.losses import page_loss
 from page_training.network import PageNetwork
+from page_training.targets import settled_targets
 
 _SHOWN = 8
 # Of parts 0, 1, ..., RGB; background is left as it is.
@@ -31,7 +32,8 @@ def validation_losses(
     for start in range(0, len(records), 16):
         chunk = records[start : start + 16]
         batch = make_batch(chunk, category, dense_points=1024, generator=generator, augmentation=None)
-        for name, value in page_loss(network(batch.inputs, batch.dense), batch.targets).items():
+        outputs = network(batch.inputs, batch.dense)
+        for name, value in page_loss(outputs, settled_targets(batch.truth, batch.targets, outputs, category)).items():
             sums[name] = sums.get(name, 0.0) + float(value) * len(chunk)
     network.train()
     return {name: value / len(records) for name, value in sums.items()}
@@ -47,15 +49,16 @@ def validation_picture(network: PageNetwork, shards: list[NDArray[Any]], categor
     batch = make_batch(records, category, dense_points=1024, generator=generator, augmentation=None)
     outputs = network(batch.inputs, batch.dense)
     network.train()
+    targets = settled_targets(batch.truth, batch.targets, outputs, category)
     labels = outputs.part_logits.argmax(-1)
-    own = batch.targets.labels.clamp_max(len(category.parts) - 1)
-    error = (outputs.radii - batch.targets.radii).abs().mean(-1)
-    share = (error / (0.1 * torch.take_along_dim(batch.targets.diagonals, own, dim=1))).clamp(0.0, 1.0)
+    own = targets.labels.clamp_max(len(category.parts) - 1)
+    error = (outputs.radii - targets.radii).abs().mean(-1)
+    share = (error / (0.1 * torch.take_along_dim(targets.diagonals, own, dim=1))).clamp(0.0, 1.0)
     warm = torch.stack([share, torch.zeros_like(share), 1.0 - share], dim=-1) * 255
     of_part = torch.from_numpy(_COLORS)[labels % len(_COLORS)]
     crops = records["image"]
     parts = _dotted(crops, batch, of_part, labels < len(category.parts))
-    errors = _dotted(crops, batch, warm, batch.targets.labels < len(category.parts))
+    errors = _dotted(crops, batch, warm, targets.labels < len(category.parts))
     return np.vstack([np.hstack(list(row)) for row in (crops, parts, errors)])
 
 

@@ -170,6 +170,11 @@ def _object(indices: Sequence[int], parts: Sequence[PartEvidence]) -> _Object:
     return _Object({k: row for row, k in enumerate(indices)}, _similarities(parts), information, extents)
 
 
+def unknown_reason(joint: Joint, category: Category, seen: Sequence[int]) -> str:
+    """Why a joint has no state, where the parts with these indices have poses."""
+    return _missing(joint, category, seen) or _contradiction(joint, category)
+
+
 def _missing(joint: Joint, category: Category, seen: Sequence[int]) -> str:
     """Which of the joint's parts have no pose, or nothing."""
     names = [category.parts[k].name for k in (joint.parent, joint.child) if k not in seen]

@@ -7,15 +7,18 @@ understood whole or not used.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from page_runtime.category import Category, Joint, JointGeometry, Part
 from page_runtime.confidence import FEATURES, ConfidenceModel
+from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_runtime.template import template_document, template_from
 
 METADATA_KEY = "page.bundle"
-METADATA_VERSION = 3
+METADATA_VERSION = 4
+# What a document of version 3 leaves out, and means by that.
+_VERSION_3 = 3
 
 
 class BundleError(ValueError):
@@ -50,7 +53,7 @@ class BundleMetadata:
         if self.mirrored and not self.category.joints_mirror:
             raise ValueError(
                 f"mirrored: expected false, as the joints of {self.category.name!r} are not their own mirror image "
-                "(hinges along x, slides across it)"
+                "(see Category.mirror)"
             )
 
     def to_json(self) -> str:
@@ -75,6 +78,8 @@ class BundleMetadata:
             document = json.loads(text)
         except json.JSONDecodeError as error:
             raise BundleError(f"bundle metadata: expected JSON, got {error}") from error
+        if isinstance(document, dict) and document.get("version") == _VERSION_3:
+            document = {**with_symmetries(document), "version": METADATA_VERSION}
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
             raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
@@ -109,9 +114,12 @@ def category_document(category: Category) -> dict[str, Any]:
                 "extents_unit": part.extents_unit.tolist(),
                 "diagonal_range_m": list(part.diagonal_range_m),
                 "template": None if part.template is None else template_document(part.template),
+                "symmetry": None if part.symmetry is None else asdict(part.symmetry),
             }
             for part in category.parts
         ],
+        "mirror": None if category.mirror is None else asdict(category.mirror),
+        "interchange": None if category.interchange is None else asdict(category.interchange),
         "joints": [_joint_document(joint) for joint in category.joints],
     }
 
@@ -135,14 +143,44 @@ def category_from(document: dict[str, Any]) -> Category:
             joints=joints,
             num_voted=int(top["num_voted"]),
             region_radius_m=float(top["region_radius_m"]),
+            mirror=None if top["mirror"] is None else _mirror(_closed(top["mirror"], "mirror", {"axis", "parts"})),
+            interchange=None if top["interchange"] is None else _interchange(top["interchange"]),
         )
     except (TypeError, ValueError) as error:
         raise BundleError(f"bundle metadata: {error}") from error
 
 
-_CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints"}
+def with_symmetries(document: dict[str, Any]) -> dict[str, Any]:
+    """A category's document with the fields that those written before version 4 leave out: no part is symmetric, and a
+    mirror reverses x."""
+    parts = document.get("parts")
+    if isinstance(parts, list):
+        parts = [{"symmetry": None, **part} if isinstance(part, dict) else part for part in parts]
+    return {"mirror": asdict(Mirror()), "interchange": None, **document, "parts": parts}
+
+
+def _mirror(entry: dict[str, Any]) -> Mirror:
+    return Mirror(int(entry["axis"]), tuple(int(part) for part in entry["parts"]))
+
+
+def _interchange(entry: Any) -> Interchange:
+    closed = _closed(entry, "interchange", {"parts", "axis"})
+    return Interchange(tuple(int(part) for part in closed["parts"]), _triple(closed, "axis"))
+
+
+def _symmetry(entry: Any) -> Symmetry:
+    closed = _closed(entry, "symmetry", {"axis", "fold"})
+    return Symmetry(_triple(closed, "axis"), int(closed["fold"]))
+
+
+def _triple(entry: dict[str, Any], name: str) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in entry[name])
+    return x, y, z
+
+
+_CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints", "mirror", "interchange"}
 _OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "mirrored", "provenance", "confidence"}
-_PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m", "template"}
+_PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m", "template", "symmetry"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
 
@@ -178,6 +216,7 @@ def _part(entry: dict[str, Any]) -> Part:
             extents_unit=entry["extents_unit"],
             diagonal_range_m=(float(low), float(high)),
             template=None if entry["template"] is None else template_from(entry["template"]),
+            symmetry=None if entry["symmetry"] is None else _symmetry(entry["symmetry"]),
         )
     except (TypeError, ValueError) as error:
         raise BundleError(f"bundle metadata, part {entry['name']!r}: {error}") from error
@@ -187,14 +226,13 @@ def _joint(entry: dict[str, Any]) -> Joint:
     try:
         if entry["kind"] not in ("free", "revolute", "prismatic"):
             raise ValueError(f"kind: expected free, revolute or prismatic, got {entry['kind']!r}")
-        x, y, z = (float(value) for value in entry["axis"])
         low, high = (float(value) for value in entry["limits"])
         return Joint(
             name=str(entry["name"]),
             parent=int(entry["parent"]),
             child=int(entry["child"]),
             kind=entry["kind"],
-            axis=(x, y, z),
+            axis=_triple(entry, "axis"),
             limits=(low, high),
             geometry=None if entry["geometry"] is None else _geometry(entry["geometry"]),
         )
@@ -204,16 +242,11 @@ def _joint(entry: dict[str, Any]) -> Joint:
 
 def _geometry(entry: Any) -> JointGeometry:
     closed = _closed(entry, "joint geometry", _GEOMETRY_FIELDS)
-
-    def triple(name: str) -> tuple[float, float, float]:
-        x, y, z = (float(value) for value in closed[name])
-        return x, y, z
-
     return JointGeometry(
-        pivot_parent=triple("pivot_parent"),
-        pivot_child=triple("pivot_child"),
-        sigma_parent=triple("sigma_parent"),
-        sigma_child=triple("sigma_child"),
+        pivot_parent=_triple(closed, "pivot_parent"),
+        pivot_child=_triple(closed, "pivot_child"),
+        sigma_parent=_triple(closed, "sigma_parent"),
+        sigma_child=_triple(closed, "sigma_child"),
         log_size_ratio=float(closed["log_size_ratio"]),
         log_size_sigma=float(closed["log_size_sigma"]),
     )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from page_runtime.geometry import Array
+from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_runtime.template import Template
 
 JointKind = Literal["free", "revolute", "prismatic"]
@@ -20,7 +21,7 @@ class Part:
     keypoints_unit: (n,3) in units of the part's diagonal, canonical frame; the first `Category.num_voted` are voted,
     all of them enter the pose refinement (METHOD 10, 11). extents_unit: (3,) mean extents of the category's parts
     divided by their diagonal. diagonal_range_m: smallest and largest plausible diagonal. template: the surface that the
-    pose is fitted to at the end, None for a pose from radii alone.
+    pose is fitted to at the end, None for a pose from radii alone. symmetry: turns that change nothing, None for none.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Part:
     extents_unit: Array
     diagonal_range_m: tuple[float, float]
     template: Template | None = None
+    symmetry: Symmetry | None = None
 
     def __post_init__(self) -> None:
         keypoints = np.asarray(self.keypoints_unit, dtype=float)
@@ -95,7 +97,8 @@ class Category:
     """A category of articulated objects; network class k is parts[k], the last class is background.
 
     num_voted: how many leading keypoints of every part are voted. region_radius_m: points farther than this from the
-    region's centre cannot belong to the object.
+    region's centre cannot belong to the object. mirror: how its objects look in a mirror, None where a mirror shows
+    objects of another kind. interchange: parts that cannot be told from each other, None where all can.
     """
 
     name: str
@@ -103,6 +106,8 @@ class Category:
     joints: tuple[Joint, ...]
     num_voted: int
     region_radius_m: float
+    mirror: Mirror | None = field(default_factory=Mirror)
+    interchange: Interchange | None = None
 
     def __post_init__(self) -> None:
         if not self.parts:
@@ -118,6 +123,11 @@ class Category:
         for joint in self.joints:
             if not {joint.parent, joint.child} <= set(range(len(self.parts))):
                 raise ValueError(f"Joint {joint.name!r}: {joint.parent} or {joint.child} is no part index")
+        for name, one in (("mirror", self.mirror), ("interchange", self.interchange)):
+            if one is not None and len(one.parts) not in (0, len(self.parts)):
+                raise ValueError(f"Category {self.name!r}.{name}: expected {len(self.parts)} parts, got {one.parts}")
+        if self.interchange is not None:
+            _ = self.interchanged_joints
 
     @property
     def num_keypoints(self) -> int:
@@ -125,12 +135,64 @@ class Category:
         return len(self.parts[0].keypoints_unit)
 
     @property
-    def joints_mirror(self) -> bool:
-        """Whether the joints of an object seen in a mirror, x of every part frame reversed, are those of the category
-        at the same states: hinges along x, slides across it."""
-        return all(
-            np.allclose(joint.axis[1:], 0.0)
-            if joint.kind == "revolute"
-            else joint.kind == "free" or joint.axis[0] == 0.0
+    def mirror_joints(self) -> tuple[tuple[int, float], ...] | None:
+        """For each joint the one that a mirror shows in its place, and 1 or -1, what its state is multiplied by; None
+        where what a mirror shows is not of the category.
+
+        A reflection F of the part frames makes of a turn by q about a one by q about -F a, of a slide along a one along
+        F a (`mirror`).
+        """
+        if self.mirror is None:
+            return None
+        order, reversal = self.mirror.order(len(self.parts)), self.mirror.reversal
+        found = [
+            _joint_like(
+                self.joints,
+                (order[joint.parent], order[joint.child]),
+                joint.kind,
+                np.array(joint.axis) * (-reversal if joint.kind == "revolute" else reversal),
+                joint.limits,
+            )
             for joint in self.joints
-        )
+        ]
+        known = tuple(one for one in found if one is not None)
+        return known if len(known) == len(found) else None
+
+    @property
+    def joints_mirror(self) -> bool:
+        """Whether what a mirror shows of an object is one of the category."""
+        return self.mirror_joints is not None
+
+    @property
+    def interchanged_joints(self) -> tuple[int, ...]:
+        """For each joint the one that takes its place when the parts are renamed (`interchange`); a ValueError where
+        the joints do not allow that."""
+        assert self.interchange is not None
+        order, turn, found = self.interchange.parts, self.interchange.turn, []
+        for joint in self.joints:
+            ends, axis = (order[joint.parent], order[joint.child]), turn @ np.array(joint.axis)
+            same = _joint_like(self.joints, ends, joint.kind, axis, joint.limits)
+            # Seen from the other part a joint turns, or slides, the other way.
+            back = _joint_like(self.joints, ends[::-1], joint.kind, -axis, joint.limits)
+            image = same or back
+            if image is None or image[1] < 0.0:
+                raise ValueError(
+                    f"Category {self.name!r}.interchange: joint {joint.name!r} would have to move another way; "
+                    "expected joints that stay what they are when the parts are renamed"
+                )
+            found.append(image[0])
+        return tuple(found)
+
+
+def _joint_like(
+    joints: tuple[Joint, ...], ends: tuple[int, int], kind: JointKind, axis: Array, limits: tuple[float, float]
+) -> tuple[int, float] | None:
+    """Index of the joint between these parts that moves about `axis`, and 1.0, or -1.0 where the other way."""
+    for index, joint in enumerate(joints):
+        if (joint.parent, joint.child) != ends or joint.kind != kind:
+            continue
+        for sign in (1.0, -1.0):
+            same_range = np.allclose(sorted(sign * limit for limit in limits), joint.limits)
+            if kind == "free" or (np.allclose(joint.axis, sign * axis) and same_range):
+                return index, sign
+    return None

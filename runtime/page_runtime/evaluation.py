@@ -6,22 +6,24 @@ Rotation errors are geodesic angles, neither folded nor capped. What is counted:
   counts as visible).
 - Rotation and translation mean and median are over the visible parts that have a pose; null when there are none.
 - Everything else is over all visible parts, a missing pose counting as IoU 0, as no hit and as a failure.
+- Of the true poses that look the same (`symmetry`) the one nearest to the estimate is the truth.
 - A failure is a missing pose, or one worse than FAILURE_ROTATION_RAD or FAILURE_SHARE of the part's true diagonal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from page_runtime.boxes import box_iou
 from page_runtime.category import Category
-from page_runtime.geometry import Array, rotation_angle
+from page_runtime.geometry import Array, rotation_angle, transform_from
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import PartTruth
+from page_runtime.symmetry import nearest_turn, turn_of
 
 VISIBLE_SHARE = 0.1
 FAILURE_ROTATION_RAD = float(np.radians(30.0))
@@ -69,14 +71,69 @@ def translation_error(T_camera_estimate: Array, T_camera_truth: Array) -> float:
     return float(np.linalg.norm(T_camera_estimate[:3, 3] - T_camera_truth[:3, 3]))
 
 
-def part_errors(pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[PartError, ...]:
+def part_errors(category: Category, pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[PartError, ...]:
     """The error of every visible part; pose and truths name the same parts in any order, else ValueError."""
     estimates = {part.name: part for part in pose.parts}
     if estimates.keys() != {truth.name for truth in truths} or len(estimates) != len(truths):
         raise ValueError(
             f"truth: expected the parts {', '.join(estimates)} of the bundle, got {', '.join(t.name for t in truths)}"
         )
-    return tuple(_part_error(estimates[truth.name], truth) for truth in truths if is_visible(truth))
+    nearest = nearest_truths(category, pose, truths)
+    return tuple(_part_error(estimates[truth.name], truth) for truth in nearest if is_visible(truth))
+
+
+def nearest_truths(category: Category, pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[PartTruth, ...]:
+    """Of the descriptions of the true object that look the same the one whose rotations are nearest to the estimate's,
+    joint states included, in the order of `truths`."""
+    if category.interchange is None and not any(part.symmetry for part in category.parts):
+        return tuple(truths)
+    estimates = {part.name: part for part in pose.parts if isinstance(part, PartPose)}
+    true = {truth.name: truth for truth in truths}
+    described = [true] if category.interchange is None else [true, _interchanged(category, true)]
+    turned = [_turned(category, one, estimates) for one in described]
+    best = min(turned, key=lambda one: sum(
+        rotation_error(estimates[name].T_camera_part, truth.T_camera_part)
+        for name, truth in one.items() if name in estimates and is_visible(truth)
+    ))  # fmt: skip
+    return tuple(best[truth.name] for truth in truths)
+
+
+def _interchanged(category: Category, truths: dict[str, PartTruth]) -> dict[str, PartTruth]:
+    """The same object with its parts renamed."""
+    assert category.interchange is not None
+    turn = transform_from(category.interchange.turn, np.zeros(3))
+    states = {
+        category.joints[own].child: truths[category.parts[category.joints[other].child].name].joint_state
+        for own, other in enumerate(category.interchanged_joints)
+    }
+    renamed = {}
+    for k, part in enumerate(category.parts):
+        other = truths[category.parts[category.interchange.parts[k]].name]
+        T_camera_part = other.T_camera_part @ turn
+        renamed[part.name] = replace(other, name=part.name, T_camera_part=T_camera_part, joint_state=states.get(k))
+    return renamed
+
+
+def _turned(category: Category, truths: dict[str, PartTruth], estimates: dict[str, PartPose]) -> dict[str, PartTruth]:
+    """Symmetric parts turned towards the estimate, and the states of the joints about whose axes they were."""
+    turned = dict(truths)
+    for k, part in enumerate(category.parts):
+        if part.symmetry is None or part.name not in estimates:
+            continue
+        truth, T_estimate = turned[part.name], estimates[part.name].T_camera_part
+        angle = nearest_turn(part.symmetry, truth.T_camera_part[:3, :3].T @ T_estimate[:3, :3])
+        T = truth.T_camera_part @ transform_from(turn_of(part.symmetry, angle), np.zeros(3))
+        turned[part.name] = replace(truth, T_camera_part=T)
+        for joint in category.joints:
+            along = float(np.dot(part.symmetry.axis, joint.axis))
+            if joint.kind != "revolute" or k not in (joint.parent, joint.child) or abs(along) < 1.0 - 1e-6:
+                continue
+            child = category.parts[joint.child].name
+            state = turned[child].joint_state
+            if state is not None:
+                sense = 1.0 if k == joint.child else -1.0
+                turned[child] = replace(turned[child], joint_state=state + sense * along * angle)
+    return turned
 
 
 def _part_error(estimate: PartPose | NotSeen, truth: PartTruth) -> PartError:
@@ -105,7 +162,7 @@ class JointError:
 
 def joint_errors(category: Category, pose: ArticulatedPose, truths: Sequence[PartTruth]) -> tuple[JointError, ...]:
     """The error of every joint whose parts are visible and whose true state is known."""
-    truth_of = {truth.name: truth for truth in truths}
+    truth_of = {truth.name: truth for truth in nearest_truths(category, pose, truths)}
     found = []
     for joint, state in zip(category.joints, pose.joints, strict=True):
         parent, child = (truth_of[category.parts[k].name] for k in (joint.parent, joint.child))
@@ -135,7 +192,7 @@ def summarise_joint(errors: Iterable[JointError], name: str) -> dict[str, Any]:
 
 def figures_of(category: Category, compared: Sequence[tuple[ArticulatedPose, Sequence[PartTruth]]]) -> dict[str, Any]:
     """Of estimates with their truths, as `page-runtime validate` writes them: category, instances, parts, joints."""
-    errors = [error for pose, truths in compared for error in part_errors(pose, truths)]
+    errors = [error for pose, truths in compared for error in part_errors(category, pose, truths)]
     joints = [error for pose, truths in compared for error in joint_errors(category, pose, truths)]
     return {
         "category": category.name,

@@ -2,8 +2,9 @@
 
 A network trained on mirror images as well (the bundle says so) has two answers for every frame, and where the first is
 wrong the second often is not: it makes its mistakes by other pixels. The mirror reverses x of the camera; what it shows
-is an object of the same category, x of whose part frames is reversed too, so that T' = F T F with F = diag(-1, 1, 1).
-Joint states stay as they are: a hinge along x turns by the same angle, what slides does so along y or z.
+is an object of the same category, each part in the place of its own image (`symmetry.Mirror`), one axis of the part
+frames reversed too, so that T' = M T F with M = diag(-1, 1, 1) and F the reversal of that axis. Joint states stay as
+they are, or change their sign where a joint then turns the other way (`Category.mirror_joints`).
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from page_runtime.articulation import unknown_reason
 from page_runtime.camera import Camera
-from page_runtime.category import Category
+from page_runtime.category import Category, Part
 from page_runtime.geometry import Array, apply
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.sampling import RegionSample
@@ -42,21 +44,42 @@ def mirrored_sample(sample: RegionSample) -> RegionSample:
 
 
 def mirrored_pose(pose: ArticulatedPose, category: Category) -> ArticulatedPose:
-    """What is before the mirror, of the pose of its image (and the other way round)."""
+    """What is before the mirror, of the pose of its image (and the other way round); a ValueError for a category whose
+    objects a mirror shows as others."""
+    images = category.mirror_joints
+    if category.mirror is None or images is None:
+        raise ValueError(f"mirror: expected a category that is its own mirror image, got {category.name!r}")
+    order, reversal = category.mirror.order(len(category.parts)), category.mirror.reversal
     parts = tuple(
-        part if isinstance(part, NotSeen) else _mirrored_part(part, spec.keypoints_unit)
-        for part, spec in zip(pose.parts, category.parts, strict=True)
+        replace(part, name=spec.name) if isinstance(part, NotSeen) else _mirrored_part(part, spec, reversal)
+        for part, spec in zip((pose.parts[k] for k in order), category.parts, strict=True)
     )
-    return replace(pose, parts=parts)
+    seen = [k for k, part in enumerate(parts) if isinstance(part, PartPose)]
+    joints = tuple(
+        replace(
+            pose.joints[index],
+            name=joint.name,
+            value=_times(pose.joints[index].value, sign),
+            limits=joint.limits,
+            reason=pose.joints[index].reason and unknown_reason(joint, category, seen),
+        )
+        for joint, (index, sign) in zip(category.joints, images, strict=True)
+    )
+    return replace(pose, parts=parts, joints=joints)
 
 
-def _mirrored_part(part: PartPose, keypoints_unit: Array) -> PartPose:
+def _times(value: float | None, sign: float) -> float | None:
+    return None if value is None else sign * value
+
+
+def _mirrored_part(part: PartPose, spec: Part, reversal: Array) -> PartPose:
     T_camera_part = part.T_camera_part.copy()
-    T_camera_part[:3, :3] *= np.outer(MIRROR, MIRROR)
+    T_camera_part[:3, :3] *= np.outer(MIRROR, reversal)
     T_camera_part[:3, 3] *= MIRROR
     return replace(
         part,
+        name=spec.name,
         T_camera_part=T_camera_part,
-        keypoints_camera=apply(T_camera_part, float(np.linalg.norm(part.extents_m)) * keypoints_unit),
+        keypoints_camera=apply(T_camera_part, float(np.linalg.norm(part.extents_m)) * spec.keypoints_unit),
         covariance=part.covariance * np.outer(_TWIST, _TWIST),
     )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from page_runtime.geometry import rotation_about, transform_from
-from page_training.scenes.hinged import HingedObject, hinged_object
+from page_training.scenes.articulated import ArticulatedObject, States
+from page_training.scenes.hinged import hinged_object
 from page_training.scenes.materials import Color, Material, plain, printed, random_color, scanned, vary
 from page_training.scenes.meshes import (
     Mesh,
@@ -24,8 +25,9 @@ from page_training.scenes.meshes import (
 )
 from page_training.scenes.textures import Generator
 
-PART_NAMES = ("base", "lid")
-DISTANCE_M = (0.4, 1.3)
+
+def distance_m(_: ArticulatedObject) -> tuple[float, float]:
+    return (0.4, 1.3)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,7 +42,7 @@ class _Body:
     radius: float
 
 
-def sample_state(rng: Generator) -> float:
+def _opening(rng: Generator) -> float:
     """Opening angle, rad: rarely nearly closed, otherwise anything up to flat on the table."""
     draw = rng.random()
     if draw < 0.10:
@@ -48,6 +50,11 @@ def sample_state(rng: Generator) -> float:
     if draw < 0.17:
         return float(np.radians(rng.uniform(165, 180)))
     return float(np.radians(rng.uniform(20, 180)))
+
+
+def sample_states(rng: Generator, _: ArticulatedObject) -> States:
+    """The hinge, rad."""
+    return (_opening(rng),)
 
 
 def _sizes(rng: Generator) -> _Body:
@@ -232,7 +239,7 @@ def _lid(rng: Generator, body: _Body, color: Color, rough: Callable[[Points], Po
     return meshes, rest + thick * float(rng.uniform(0.0, 0.7))
 
 
-def sample_object(rng: Generator) -> HingedObject:
+def sample_object(rng: Generator) -> ArticulatedObject:
     """A random box with its parts, inner fittings and colours."""
     body = _sizes(rng)
     base_color, lid_color = _colors(rng)

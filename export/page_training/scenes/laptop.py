@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from page_runtime.geometry import rotation_about, transform_from
-from page_training.scenes.hinged import HingedObject, hinged_object
+from page_training.scenes.articulated import ArticulatedObject, States
+from page_training.scenes.hinged import hinged_object
 from page_training.scenes.materials import (
     Color,
     Material,
@@ -34,8 +35,9 @@ from page_training.scenes.meshes import (
 )
 from page_training.scenes.textures import REGIONS, Generator
 
-PART_NAMES = ("base", "lid")
-DISTANCE_M = (0.5, 1.8)
+
+def distance_m(_: ArticulatedObject) -> tuple[float, float]:
+    return (0.5, 1.8)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,7 +52,7 @@ class _Body:
     bevel: float
 
 
-def sample_state(rng: Generator) -> float:
+def _opening(rng: Generator) -> float:
     """Opening angle, rad: most laptops stand open at 60-130 degrees."""
     draw = rng.random()
     if draw < 0.72:
@@ -58,6 +60,11 @@ def sample_state(rng: Generator) -> float:
     if draw < 0.80:
         return float(np.radians(rng.uniform(0, 20)))
     return float(np.radians(rng.uniform(15, 175)))
+
+
+def sample_states(rng: Generator, _: ArticulatedObject) -> States:
+    """The hinge, rad."""
+    return (_opening(rng),)
 
 
 def _sizes(rng: Generator) -> _Body:
@@ -219,7 +226,7 @@ def _lid(rng: Generator, body: _Body, shell: Color) -> list[Mesh]:
     return [shifted(mesh, 0, y, 0) for mesh in meshes]
 
 
-def sample_object(rng: Generator) -> HingedObject:
+def sample_object(rng: Generator) -> ArticulatedObject:
     """A random laptop."""
     body = _sizes(rng)
     shell = _shell_color(rng)

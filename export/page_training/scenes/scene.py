@@ -5,7 +5,6 @@ World frame of a scene: metres, +z up, support at z = 0 (see stage.py).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +13,8 @@ from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, rotation_about, transform_from
-from page_training.scenes import box, laptop
-from page_training.scenes.hinged import HingedObject
+from page_training.scenes.articulated import ArticulatedObject, States
+from page_training.scenes.kinds import SceneCategory, scene_category
 from page_training.scenes.meshes import Mesh, moved
 from page_training.scenes.render import (
     Lighting,
@@ -47,24 +46,6 @@ CAMERAS = (  # width, height, horizontal focal lengths (px) of common RGB-D came
 PROBE_SIZE = 72
 MIN_VISIBLE_SHARE = 0.1
 MIN_BEST_SHARE = 0.3
-HARD_VIEW_SHARE = 0.25
-CAMERA_TRIES = 5
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class SceneCategory:
-    """What a category's module provides. distance_m: nearest and farthest camera."""
-
-    part_names: tuple[str, ...]
-    sample_object: Callable[[Generator], HingedObject]
-    sample_state: Callable[[Generator], float]
-    distance_m: tuple[float, float]
-
-
-CATEGORIES: dict[str, SceneCategory] = {
-    "box": SceneCategory(box.PART_NAMES, box.sample_object, box.sample_state, box.DISTANCE_M),
-    "laptop": SceneCategory(laptop.PART_NAMES, laptop.sample_object, laptop.sample_state, laptop.DISTANCE_M),
-}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -95,49 +76,50 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """One object of `category` in its surroundings. joint_states: rad. camera: the whole frame's. coverage:
+    """One object of `category` in its surroundings. joint_states: rad or m. camera: the whole frame's. coverage:
     in its pixels.
     """
 
     category: str
     parts: tuple[PlacedPart, ...]
-    joint_states: tuple[float, ...]
+    joint_states: States
     world: World
     lighting: Lighting
     camera: Camera
     coverage: Coverage
 
 
-def _require_category(name: str) -> SceneCategory:
-    if name not in CATEGORIES:
-        raise ValueError(f"category: expected one of {sorted(CATEGORIES)}, got {name!r}")
-    return CATEGORIES[name]
+@dataclass(frozen=True, eq=False, slots=True)
+class _Posed:
+    """meshes with their labels, 0 for what is no part, and T_world_part (4,4), of an object at rest, turned by
+    yaw_rad."""
+
+    meshes: list[Mesh]
+    labels: list[int]
+    poses: list[Array]
+    yaw_rad: float
 
 
-def _posed(rng: Generator, model: HingedObject, state: float) -> tuple[list[Mesh], list[int], list[Array], float]:
-    """Meshes with labels, part poses in the world and the yaw of an object resting (nearly flat) at the
-    origin."""
+def _posed(rng: Generator, kind: SceneCategory, model: ArticulatedObject, states: States) -> _Posed:
+    """The object above the origin as things of its kind rest, all of it at or above the support."""
     yaw = float(rng.uniform(0, 2 * np.pi))
-    tilt_deg = float(rng.choice([0.0, abs(rng.normal(0, 2)), rng.uniform(3, 20)], p=[0.6, 0.3, 0.1]))
-    direction = rng.uniform(0, 2 * np.pi)
-    tilt = rotation_about(np.array([np.cos(direction), np.sin(direction), 0.0]), np.radians(tilt_deg))
-    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), yaw) @ tilt
-    T_base_lid = model.T_base_lid(state)
+    rest = kind.rest(rng)
+    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), yaw) @ rest.rotation
     corners = model.parts[0].mesh.vertices @ rotation.T
-    T_world_base = transform_from(rotation, np.array([0.0, 0.0, -float(corners[:, 2].min()) + 1e-4]))
-    poses = [T_world_base, T_world_base @ T_base_lid]
+    T_world_root = transform_from(rotation, np.array([0.0, 0.0, -float(corners[:, 2].min()) + 1e-4]))
+    poses = model.poses(T_world_root, states)
     meshes = [moved(part.mesh, pose) for part, pose in zip(model.parts, poses, strict=True)]
-    labels = [1, 2]
-    if model.loose is not None:
-        meshes.append(moved(model.loose, T_world_base))
+    labels = list(range(1, len(meshes) + 1))
+    for part, mesh in model.loose:
+        meshes.append(moved(mesh, poses[part]))
         labels.append(0)
     # A lid that would go through the table lifts the whole object (it then leans on its lid).
-    lift = max(0.0, 1e-4 - float(min(mesh.vertices[:, 2].min() for mesh in meshes)))
+    lift = max(0.0, 1e-4 - float(min(mesh.vertices[:, 2].min() for mesh in meshes))) + rest.height_m
+    if not lift:
+        return _Posed(meshes, labels, poses, yaw)
     rise = np.array([0, 0, lift])
-    for pose in poses:
-        pose[:3, 3] += rise
-    lifted = [moved(mesh, transform_from(np.eye(3), rise)) for mesh in meshes] if lift else meshes
-    return lifted, labels, poses, yaw
+    lifted = [pose + np.pad(rise[:, None], ((0, 1), (3, 0))) for pose in poses]
+    return _Posed([moved(mesh, transform_from(np.eye(3), rise)) for mesh in meshes], labels, lifted, yaw)
 
 
 def _footprint(meshes: list[Mesh], yaw: float) -> Footprint:
@@ -158,51 +140,60 @@ def _sample_camera(rng: Generator, T_camera_world: Array) -> Camera:
 def sample_scene(category: str, rng: Generator) -> Scene:
     """A random object of `category` in a random place before a random camera; everything follows from `rng`.
 
-    Raises ValueError for a category that is not in CATEGORIES.
+    Raises ValueError for a category there are no scenes of.
     """
-    kind = _require_category(category)
-    model, state = kind.sample_object(rng), kind.sample_state(rng)
-    meshes, labels, poses, yaw = _posed(rng, model, state)
-    footprint = _footprint(meshes, yaw)
+    kind = scene_category(category)
+    model = kind.sample_object(rng)
+    states = kind.sample_states(rng, model)
+    posed = _posed(rng, kind, model, states)
+    meshes, labels = posed.meshes, posed.labels
+    footprint = _footprint(meshes, posed.yaw_rad)
     reach = float(np.abs(np.concatenate([footprint.low, footprint.high])).max())
     points = np.concatenate([mesh.vertices for mesh in meshes])
     target = ((points.min(axis=0) + points.max(axis=0)) / 2).astype(float)
-    others = surroundings(rng, reach) + clutter(rng, footprint)
+    distances = kind.distance_m(model)
+    others = surroundings(rng, reach, kind.on_table(model), distances[1]) + clutter(rng, footprint)
     if rng.random() < 0.15:  # another object of the category, which is not the one asked for
         others += _neighbour(rng, kind, footprint)
     everything, everywhere = meshes + others, labels + [0] * len(others)
     parts = tuple(
         PlacedPart(pose, part.extents_m, mesh.vertices)
-        for pose, part, mesh in zip(poses, model.parts, meshes[:2], strict=True)
+        for pose, part, mesh in zip(posed.poses, model.parts, meshes, strict=False)
     )
-    alone = tuple(silhouette_caster(mesh) for mesh in meshes[:2])
+    alone = tuple(silhouette_caster(mesh) for mesh in meshes[: len(parts)])
     lighting = sample_lighting(rng)
     plain_world = world_from(everything, everywhere)
 
     def look(*, occluded: bool) -> Scene:
-        viewpoint = sample_viewpoint(rng, target, kind.distance_m)
+        viewpoint = sample_viewpoint(rng, target, distances)
         hidden = occluders(rng, footprint, viewpoint, target) if occluded else []
         world = world_from(everything + hidden, everywhere + [0] * len(hidden)) if hidden else plain_world
         camera = _sample_camera(rng, viewpoint.T_camera_world)
         coverage = _coverage(world, parts, alone, camera)
-        return Scene(category, parts, (state,), world, lighting, camera, coverage)
+        return Scene(category, parts, states, world, lighting, camera, coverage)
 
-    for _ in range(CAMERA_TRIES - 1):
+    for _ in range(kind.camera_tries - 1):
         scene = look(occluded=True)
         shares = scene.coverage.shares
-        # Hard views (from behind the lid) stay, one part may hide; an object hardly seen is of no use.
-        hard = min(shares) < MIN_VISIBLE_SHARE
-        if max(shares) > MIN_BEST_SHARE and (not hard or rng.random() < HARD_VIEW_SHARE):
+        # Hard views (from behind the lid) stay; an object hardly seen is of no use. Of many parts a third may hide.
+        hard = sorted(shares)[(len(shares) - 1) // 3] < MIN_VISIBLE_SHARE
+        if max(shares) > MIN_BEST_SHARE and (not hard or rng.random() < kind.hard_views):
             return scene
-    return look(occluded=False)
+    scene = look(occluded=False)
+    for _ in range(kind.last_tries - 1):
+        if any(scene.coverage.visible_px):
+            break
+        scene = look(occluded=False)
+    return scene
 
 
 def _neighbour(rng: Generator, kind: SceneCategory, footprint: Footprint) -> list[Mesh]:
-    meshes, _, _, yaw = _posed(rng, kind.sample_object(rng), kind.sample_state(rng))
-    own = _footprint(meshes, yaw)
+    model = kind.sample_object(rng)
+    posed = _posed(rng, kind, model, kind.sample_states(rng, model))
+    own = _footprint(posed.meshes, posed.yaw_rad)
     radius = float(np.abs(np.concatenate([own.low, own.high])).max())
     x, y = beside(rng, footprint, radius, float(rng.exponential(0.05)))
-    return [moved(mesh, upright(0.0, x, y, 0.0)) for mesh in meshes]
+    return [moved(mesh, upright(0.0, x, y, 0.0)) for mesh in posed.meshes]
 
 
 def _window(parts: tuple[PlacedPart, ...], camera: Camera) -> tuple[float, float, float]:

@@ -27,6 +27,8 @@ from page_training.scenes.textures import Generator
 
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 ROOM_M = 12.0
+# From up to here rooms of any size will do.
+MOST_VIEW_M = 1.8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,14 +115,14 @@ def _wall_skin(rng: Generator) -> Material:
     return patterned(rng, str(rng.choice(kinds)), float(rng.uniform(0.3, 2.5)))
 
 
-def surroundings(rng: Generator, reach_m: float) -> list[Mesh]:
-    """Support (table with edges, or the floor), floor and walls; `reach_m`: radius the object needs on the
-    support."""
+def surroundings(rng: Generator, reach_m: float, on_table: float, view_m: float) -> list[Mesh]:
+    """Support (table with edges, or the floor), floor and walls; `reach_m`: radius the object needs on the support;
+    `on_table`: how often that is a table; `view_m`: how far away a camera may stand, for which most rooms have room."""
     yaw = rng.uniform(0, 2 * np.pi)
     skin = _support_skin(rng)
     meshes: list[Mesh] = []
     floor_z = -0.0005
-    if rng.random() < 0.85:
+    if rng.random() < on_table:
         half = rng.uniform([0.35, 0.25], [1.2, 0.6]) + 0.7 * reach_m
         slack = half - 0.7 * reach_m
         middle = rng.uniform(-1, 1, 2) * slack
@@ -132,10 +134,11 @@ def surroundings(rng: Generator, reach_m: float) -> list[Mesh]:
     ground = rectangle(ROOM_M, ROOM_M, skin if floor_z > -0.01 else _support_skin(rng))
     ceiling = rectangle(ROOM_M, ROOM_M, _wall_skin(rng))
     meshes += [shifted(ground, 0, 0, floor_z), shifted(ceiling, 0, 0, 2.5)]
+    room = max(1.0, view_m / MOST_VIEW_M)
     # Walls lie along the world's axes and are two triangles each: anything slanted and large slows every
     # ray. Some are near, as the panels of a desk; two near ones make a corner.
     for side in range(4):
-        away = float(rng.uniform(0.45, 1.2) if rng.random() < 0.25 else rng.uniform(1.2, 5.0)) + reach_m
+        away = float(rng.uniform(0.45, 1.2) if rng.random() < 0.25 else room * rng.uniform(1.2, 5.0)) + reach_m
         stand = rotation_about(np.array([1.0, 0.0, 0.0]), np.pi / 2)
         turn = rotation_about(Z_AXIS, side * np.pi / 2)
         wall = rectangle(ROOM_M, 6.0, _wall_skin(rng))

@@ -38,7 +38,7 @@ class PartTruth:
 class SceneView:
     """frame: sensor-like colour and depth. part_mask: (H,W) uint8, 0 = background, k + 1 = part k.
     normals_camera: (H,W,3) float32 unit, towards the camera, 0 where nothing is. noiseless_depth_m: (H,W)
-    float32. truths: per part. joint_states: rad. region: (x,y,w,h) px, tight box of the object's visible
+    float32. truths: per part. joint_states: rad or m. region: (x,y,w,h) px, tight box of the object's visible
     pixels (0,0,0,0 if there are none).
     """
 
