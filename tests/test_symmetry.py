@@ -12,12 +12,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from page_runtime.bundle import BundleError, category_document, category_from, with_symmetries
+from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
 from page_runtime.evaluation import joint_errors, nearest_truths, part_errors
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose
-from page_runtime.network import Network
 from page_runtime.pose import ArticulatedPose, JointState, PartPose
 from page_runtime.recorded import PartTruth
 from page_runtime.similarity import so3_exp
@@ -270,19 +269,6 @@ def test_symmetries_travel_with_the_category(name: str) -> None:
     back = category_from(json.loads(json.dumps(category_document(category))))
     assert (back.mirror, back.interchange) == (category.mirror, category.interchange)
     assert [part.symmetry for part in back.parts] == [part.symmetry for part in category.parts]
-
-
-def test_what_was_written_before_symmetries_reads_as_without_any() -> None:
-    document = category_document(category_named("box"))
-    del document["mirror"], document["interchange"]
-    for part in document["parts"]:
-        del part["symmetry"]
-    with pytest.raises(BundleError, match="missing"):
-        category_from(document)
-    old = category_from(with_symmetries(document))
-    assert old.mirror == Mirror()
-    assert old.interchange is None
-    assert Network(ROOT / "runtime/bundles/box.onnx", threads=1).metadata.category.mirror == Mirror()
 
 
 @pytest.mark.parametrize(

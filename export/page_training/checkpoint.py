@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from page_runtime.bundle import category_document, category_from, with_symmetries
+from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
 from page_training.categories import category_named
 
@@ -71,7 +71,7 @@ def trained_category(state: dict[str, Any]) -> Category:
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:
-    return _as_trained(with_symmetries(json.loads(state["category"])))
+    return _as_trained(json.loads(state["category"]))
 
 
 def _as_trained(document: dict[str, Any]) -> dict[str, Any]:

@@ -17,8 +17,6 @@ from page_runtime.template import template_document, template_from
 
 METADATA_KEY = "page.bundle"
 METADATA_VERSION = 4
-# What a document of version 3 leaves out, and means by that.
-_VERSION_3 = 3
 
 
 class BundleError(ValueError):
@@ -78,8 +76,6 @@ class BundleMetadata:
             document = json.loads(text)
         except json.JSONDecodeError as error:
             raise BundleError(f"bundle metadata: expected JSON, got {error}") from error
-        if isinstance(document, dict) and document.get("version") == _VERSION_3:
-            document = {**with_symmetries(document), "version": METADATA_VERSION}
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
             raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
@@ -148,15 +144,6 @@ def category_from(document: dict[str, Any]) -> Category:
         )
     except (TypeError, ValueError) as error:
         raise BundleError(f"bundle metadata: {error}") from error
-
-
-def with_symmetries(document: dict[str, Any]) -> dict[str, Any]:
-    """A category's document with the fields that those written before version 4 leave out: no part is symmetric, and a
-    mirror reverses x."""
-    parts = document.get("parts")
-    if isinstance(parts, list):
-        parts = [{"symmetry": None, **part} if isinstance(part, dict) else part for part in parts]
-    return {"mirror": asdict(Mirror()), "interchange": None, **document, "parts": parts}
 
 
 def _mirror(entry: dict[str, Any]) -> Mirror:
