@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -268,8 +269,28 @@ CATEGORIES: dict[str, Category] = {
 }  # fmt: skip
 
 
+BUILT_IN = frozenset(CATEGORIES)
+# Those of `page-train from-urdf`, a folder each.
+OWN_CATEGORIES = Path("export/categories")
+
+
+def own_folder(name: str) -> Path:
+    """Where a category of the user's own lives, below the working directory."""
+    return OWN_CATEGORIES / name
+
+
+def known_categories() -> list[str]:
+    """The names of all categories there are, the user's own included."""
+    own = [path.parent.name for path in OWN_CATEGORIES.glob("*/category.json")]
+    return sorted({*CATEGORIES, *own})
+
+
 def category_named(name: str) -> Category:
     """The category, or a ValueError that lists those there are."""
-    if name not in CATEGORIES:
-        raise ValueError(f"category: expected one of {', '.join(sorted(CATEGORIES))}, got {name!r}")
-    return CATEGORIES[name]
+    if name in CATEGORIES:
+        return CATEGORIES[name]
+    if name not in known_categories():
+        raise ValueError(f"category: expected one of {', '.join(known_categories())}, got {name!r}")
+    from page_training.own.category import read_own
+
+    return read_own(own_folder(name)).category

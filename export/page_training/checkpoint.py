@@ -18,7 +18,7 @@ from torch import nn
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
-from page_training.categories import category_named
+from page_training.categories import category_named, known_categories
 
 KEPT = ("average", "category", "config", "step", "samples")
 
@@ -65,9 +65,14 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
 
 
 def trained_category(state: dict[str, Any]) -> Category:
-    """The category a loaded checkpoint was trained for, with the joints this release gives it and no templates."""
+    """The category a loaded checkpoint was trained for, with the joints this release gives it and no templates.
+
+    One of the user's own that is not there any more keeps the joints it was trained with.
+    """
     category = category_from(_trained_for(state))
-    return replace(category, joints=category_named(category.name).joints)
+    if category.name in known_categories():
+        return replace(category, joints=category_named(category.name).joints)
+    return replace(category, joints=category_from(with_symmetries(json.loads(state["category"]))).joints)
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:

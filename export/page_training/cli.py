@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from page_training import dataset_commands
-from page_training.categories import CATEGORIES, category_named
+from page_training.categories import category_named, known_categories
 from page_training.config import Fusion, TrainingConfig
 from page_training.keypoints import METHODS, read_keypoints, write_keypoints
+from page_training.own import commands as own_commands
 from page_training.records import SHARD_SIZE, SPLITS
 from page_training.terminal import progress_bar, say
 
@@ -54,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def command(name: str, run, description: str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=description, description=description)
-        sub.add_argument("category", choices=sorted(CATEGORIES))
+        sub.add_argument("category", choices=known_categories())
         sub.set_defaults(run_command=run)
         return sub
 
@@ -118,6 +119,7 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--width", type=int, help="px (default: each scene's own camera)")
     record.add_argument("--jpeg", action="store_true", help="colour as .jpg, a tenth of the size")
     dataset_commands.add_to(commands)
+    own_commands.add_to(commands)
     return parser
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from page_training.categories import CATEGORIES, category_named
+from page_training.categories import category_named, known_categories
 from page_training.terminal import progress_bar
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def add_to(commands: Any) -> None:
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
     doctor.set_defaults(run_command=_doctor)
     imported = _command(commands, "import", _import, "make training samples of an annotated data set")
-    imported.add_argument("category", choices=sorted(CATEGORIES))
+    imported.add_argument("category", choices=known_categories())
     _dataset(imported)
     imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
     imported.add_argument("--repeats", type=int, default=8, help="cuts of each instance (default: %(default)s)")

@@ -173,7 +173,7 @@ class Category:
             ends, axis = (order[joint.parent], order[joint.child]), turn @ np.array(joint.axis)
             same = _joint_like(self.joints, ends, joint.kind, axis, joint.limits)
             # Seen from the other part a joint turns, or slides, the other way.
-            back = _joint_like(self.joints, ends[::-1], joint.kind, -axis, joint.limits)
+            back = _joint_like(self.joints, (ends[1], ends[0]), joint.kind, -axis, joint.limits)
             image = same or back
             if image is None or image[1] < 0.0:
                 raise ValueError(

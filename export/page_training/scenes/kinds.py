@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from page_training.categories import known_categories, own_folder
 from page_training.scenes import arm, box, cutter, dishwasher, drawer, eyeglasses, laptop, scissors, stapler
 from page_training.scenes.articulated import ArticulatedObject, States
 from page_training.scenes.resting import Rest, upright_rest
@@ -52,6 +53,11 @@ CATEGORIES: dict[str, SceneCategory] = {
 
 def scene_category(name: str) -> SceneCategory:
     """How scenes of a category are made; a ValueError that lists those there are."""
-    if name not in CATEGORIES:
-        raise ValueError(f"category: expected one of {sorted(CATEGORIES)}, got {name!r}")
-    return CATEGORIES[name]
+    if name in CATEGORIES:
+        return CATEGORIES[name]
+    if name not in known_categories():
+        raise ValueError(f"category: expected one of {known_categories()}, got {name!r}")
+    from page_training.own.category import read_own
+
+    own = read_own(own_folder(name))
+    return SceneCategory(own.sample_object, own.sample_states, own.distance_m, own.sample_rest, on_table=own.on_table)

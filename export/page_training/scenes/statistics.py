@@ -50,7 +50,14 @@ def joint_geometry(objects: Sequence[ArticulatedObject], joint: int) -> JointGeo
         sides.append(_triple(np.mean(fractions, axis=0)))
         sigmas.append(_triple(np.maximum(spread, LEAST_SIGMA)))
     ratios = np.log(np.array(diagonals[1]) / np.array(diagonals[0]))
-    return JointGeometry(*sides, *sigmas, float(ratios.mean()), max(float(ratios.std()), LEAST_SIZE_SIGMA))
+    return JointGeometry(
+        pivot_parent=sides[0],
+        pivot_child=sides[1],
+        sigma_parent=sigmas[0],
+        sigma_child=sigmas[1],
+        log_size_ratio=float(ratios.mean()),
+        log_size_sigma=max(float(ratios.std()), LEAST_SIZE_SIGMA),
+    )
 
 
 def _end(item: ArticulatedObject, joint: int, *, child: bool) -> int:

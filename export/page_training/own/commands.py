@@ -1,0 +1,84 @@
+"""The command of `page-train` that makes a category of the user's own models."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def add_to(commands: Any) -> None:
+    """Its parser, on what argparse's add_subparsers gave."""
+    text = "make a category of your own from URDF files, or from meshes with a joint file (.toml)"
+    parser = commands.add_parser("from-urdf", help=text, description=text)
+    parser.add_argument("name", help="of the category: letters, digits, underscores")
+    parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="one object each, .urdf or .toml")
+    parser.add_argument("--fix", nargs="+", default=[], metavar="JOINT", help="take these joints of a URDF for fixed")
+    parser.add_argument("--rest", default="stand", help="stand (on the root's -z side) or any (default: %(default)s)")
+    parser.add_argument("--scale-sigma", type=float, help="by which sizes vary, a share (default: 0.02)")
+    parser.add_argument(
+        "--symmetric", nargs=3, action="append", default=[], metavar=("PART", "AXIS", "FOLD"),
+        help="a part that looks the same after a turn about its x, y or z: FOLD 2 for half a turn, 0 for any",
+    )  # fmt: skip
+    parser.set_defaults(run_command=_from_urdf)
+
+
+def _from_urdf(options: argparse.Namespace) -> None:
+    from page_training.categories import BUILT_IN, own_folder
+    from page_training.own.category import SCALE_SIGMA, OwnCategory, own_category, write_own
+    from page_training.own.joint_file import read_joint_file
+    from page_training.own.urdf import read_urdf
+    from page_training.terminal import progress_bar
+
+    if options.name in BUILT_IN:
+        raise ValueError(f"name: expected another than those of the built-in categories, got {options.name!r}")
+    models = []
+    with progress_bar() as progress:
+        task = progress.add_task("reading", total=len(options.files))
+        for path in options.files:
+            if path.suffix == ".urdf":
+                models.append(read_urdf(path, options.fix))
+            elif path.suffix == ".toml":
+                models.append(read_joint_file(path))
+            else:
+                raise ValueError(f"{path}: expected a .urdf file, or a .toml file that names meshes and joints")
+            progress.advance(task)
+    own: OwnCategory = own_category(
+        options.name,
+        models,
+        rest=options.rest,
+        scale_sigma=SCALE_SIGMA if options.scale_sigma is None else options.scale_sigma,
+        symmetries=[_symmetry(*words) for words in options.symmetric],
+    )
+    folder = own_folder(options.name)
+    write_own(own, folder)
+    _tell(own)
+    print(folder)
+
+
+def _symmetry(part: str, axis: str, fold: str) -> Any:
+    from page_runtime.symmetry import Symmetry
+
+    if axis not in ("x", "y", "z") or not fold.isdigit():
+        raise ValueError(f"--symmetric {part}: expected x, y or z and a whole number, got {axis} {fold}")
+    x, y, z = (float(axis == name) for name in "xyz")
+    return part, Symmetry((x, y, z), int(fold))
+
+
+def _tell(own: Any) -> None:
+    """What was read, and what may be too small to be seen."""
+    category, model = own.category, own.models[0]
+    sizes = [np.ptp(part.surface.vertices, axis=0) for part in model.parts]
+    largest = max(float(np.linalg.norm(size)) for size in sizes)
+    for part, size in zip(model.parts, sizes, strict=True):
+        said = f"part {part.name}: {' x '.join(f'{1e3 * side:.0f}' for side in size)} mm"
+        small = float(np.linalg.norm(size)) < 0.12 * largest
+        carrier = next((joint.name for joint in model.joints if model.parts[joint.child] is part), None)
+        print(said + (f"; small: --fix {carrier} joins it to what carries it" if small and carrier else ""))
+    for joint in category.joints:
+        unit, factor = ("m", 1.0) if joint.kind == "prismatic" else ("deg", float(np.degrees(1.0)))
+        low, high = (factor * limit for limit in joint.limits)
+        ends = f"{category.parts[joint.parent].name} to {category.parts[joint.child].name}"
+        print(f"joint {joint.name}: {joint.kind}, {ends}, {low:.3g} to {high:.3g} {unit}")

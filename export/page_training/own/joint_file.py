@@ -1,0 +1,106 @@
+"""A TOML file that names the mesh of each part and says how the joints move them.
+
+unit = "mm"                      # of meshes and points here; metres where not said
+
+[[part]]                         # the first is the one no joint moves
+name = "frame"
+mesh = "frame.stl"               # OBJ, STL, PLY, GLB, ...; all in one frame, as they stand at state 0
+
+[[part]]
+name = "door"
+mesh = ["door.stl", "handle.obj"]
+
+[[joint]]
+name = "hinge"
+parent = "frame"
+child = "door"
+kind = "revolute"                # or "prismatic"
+axis = [0, 0, 1]
+point = [-400, 0, 0]             # any point of the axis
+limits_deg = [0, 110]            # limits_m for a prismatic joint
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from page_runtime.category import JointKind
+from page_training.own.model import OwnJoint, OwnModel, OwnPart
+from page_training.own.surfaces import open_mesh, surfaces_of
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+KINDS: dict[str, tuple[JointKind, str]] = {
+    "revolute": ("revolute", "limits_deg"),
+    "prismatic": ("prismatic", "limits_m"),
+}
+
+
+def read_joint_file(path: Path) -> OwnModel:
+    """The model that a joint file describes; ValueError names what is wrong with it."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: expected TOML, got {error}") from error
+    _closed(document, {"part", "joint"}, {"unit"}, str(path))
+    unit = document.get("unit", "m")
+    if unit not in UNITS_M:
+        raise ValueError(f"{path}: unit: expected one of {', '.join(UNITS_M)}, got {unit!r}")
+    parts, joints = (_tables(document, name, path) for name in ("part", "joint"))
+    names = [str(part.get("name")) for part in parts]
+    if len(set(names)) != len(names):
+        raise ValueError(f"{path}: expected parts of different names, got {', '.join(names)}")
+    meshes = []
+    for part in parts:
+        _closed(part, {"name", "mesh"}, set(), f"{path}, part {part.get('name')!r}")
+        files = [part["mesh"]] if isinstance(part["mesh"], str) else part["mesh"]
+        meshes.append([mesh for file in files for mesh in open_mesh(path.parent / str(file), UNITS_M[unit])])
+    own = tuple(
+        OwnPart(name, surface, {name: np.eye(4)}) for name, surface in zip(names, surfaces_of(meshes), strict=True)
+    )
+    return OwnModel(path.name, own, tuple(_joint(entry, names, UNITS_M[unit], path) for entry in joints))
+
+
+def _joint(entry: dict[str, Any], names: list[str], unit_m: float, path: Path) -> OwnJoint:
+    where = f"{path}, joint {entry.get('name')!r}"
+    if entry.get("kind") not in KINDS:
+        raise ValueError(f"{where}: kind: expected revolute or prismatic, got {entry.get('kind')!r}")
+    kind, limits_name = KINDS[entry["kind"]]
+    needed = {"name", "parent", "child", "kind", "axis", limits_name} | ({"point"} if kind == "revolute" else set())
+    _closed(entry, needed, {"point"}, where)
+    for end in ("parent", "child"):
+        if entry[end] not in names:
+            raise ValueError(f"{where}: {end}: expected one of {', '.join(names)}, got {entry[end]!r}")
+    axis = np.array(_numbers(entry, "axis", 3, where))
+    if np.linalg.norm(axis) < 1e-9:
+        raise ValueError(f"{where}: axis: expected a direction, got {axis.tolist()}")
+    x, y, z = (float(value) for value in axis / np.linalg.norm(axis))
+    px, py, pz = (unit_m * value for value in _numbers(entry, "point", 3, where)) if "point" in entry else (0.0,) * 3
+    low, high = _numbers(entry, limits_name, 2, where)
+    if kind == "revolute":
+        low, high = float(np.radians(low)), float(np.radians(high))
+    parent, child = (names.index(entry[end]) for end in ("parent", "child"))
+    return OwnJoint(str(entry["name"]), parent, child, kind, (x, y, z), (px, py, pz), (low, high))
+
+
+def _tables(document: dict[str, Any], name: str, path: Path) -> list[dict[str, Any]]:
+    entries = document[name]
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise ValueError(f"{path}: expected one or more [[{name}]], got {type(entries).__name__}")
+    return entries
+
+
+def _closed(entry: dict[str, Any], needed: set[str], optional: set[str], where: str) -> None:
+    missing, extra = needed - entry.keys(), entry.keys() - needed - optional
+    if missing or extra:
+        raise ValueError(f"{where}: missing {sorted(missing)}, not understood {sorted(extra)}")
+
+
+def _numbers(entry: dict[str, Any], name: str, count: int, where: str) -> list[float]:
+    values = entry[name]
+    if not isinstance(values, list) or len(values) != count or not all(isinstance(v, int | float) for v in values):
+        raise ValueError(f"{where}: {name}: expected {count} numbers, got {values!r}")
+    return [float(value) for value in values]
