@@ -106,7 +106,17 @@ def read_color(path: Path) -> NDArray[np.uint8]:
 def read_depth(path: Path, *, metres_per_unit: float) -> NDArray[np.float32]:
     """(H,W) float32 metres, 0 = no reading."""
     require_depth_header(path)
-    return _decode(path, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(metres_per_unit)
+    units = np.asarray(_decode(path, cv2.IMREAD_UNCHANGED), dtype=np.uint16)
+    return depth_in_metres(units, metres_per_unit=metres_per_unit)
+
+
+def depth_in_metres(units: NDArray[np.uint16], *, metres_per_unit: float) -> NDArray[np.float32]:
+    """float32 metres nearest to whole units, of any shape.
+
+    The product is made in double precision: 1 unit of 1 mm and 5 of 0.2 mm then give the same float32, so that a frame
+    is the same to the last bit in whatever unit a format stores it.
+    """
+    return np.multiply(units, metres_per_unit, dtype=np.float64).astype(np.float32)
 
 
 def read_mask(path: Path) -> NDArray[np.bool_]:
