@@ -1,7 +1,7 @@
 """A Python child process that may die of anything without harm to this one.
 
-Camera libraries abort and crash: an exception in one of depthai's host nodes ends its process by SIGABRT. So they run in
-a child, started anew (nothing of this process's state is copied, `__main__` is not run again), joined by three
+Camera libraries abort and crash: an exception in one of depthai's host nodes ends its process by SIGABRT. So they run
+in a child, started anew (nothing of this process's state is copied, `__main__` is not run again), joined by three
 descriptors:
 
     memory      anonymous shared memory (memfd_create; an unlinked file where there is none): it has no name, so the

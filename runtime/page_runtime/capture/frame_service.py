@@ -26,7 +26,8 @@ class DeviceUnavailable(SourceError):
 class LiveFrame:
     """One frame in the child. color: (H,W,3) uint8 RGB. depth: (H,W) registered to colour, uint16 in units of
     metres_per_unit, or float32 metres where that is None. timestamp_s: the source's clock. skew_s: depth time minus
-    colour time. counts: of the source so far, where it pairs readings; else every frame counts as one of each."""
+    colour time. counts: of the source so far, where it pairs readings; else every frame counts as one of each.
+    calibration: the camera's own, as JSON text, with the first frame."""
 
     color: NDArray[np.uint8]
     depth: Depth
@@ -35,6 +36,7 @@ class LiveFrame:
     timestamp_s: float
     skew_s: float = 0.0
     counts: FrameCounts | None = None
+    calibration: str | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -46,6 +48,7 @@ class FrameReady:
     timestamp_s: float
     skew_s: float
     counts: FrameCounts
+    calibration: str | None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,7 +75,9 @@ def serve_frames(factory: Factory, end: ChildEnd) -> None:
             for number, frame in enumerate(frames, start=1):
                 content = ring.write(frame.color, frame.depth, metres_per_unit=frame.metres_per_unit)
                 counts = frame.counts or whole(number)
-                end.send(FrameReady(content, frame.camera, frame.timestamp_s, frame.skew_s, counts))
+                end.send(
+                    FrameReady(content, frame.camera, frame.timestamp_s, frame.skew_s, counts, frame.calibration)
+                )
                 if end.stopping.is_set():
                     return
     except SourceError as error:

@@ -5,8 +5,8 @@
 
 The child writes each frame into the ring; this process takes the newest one when it is asked for the next frame and
 counts those it passed over. A thread watches: a child that dies or stalls is replaced after a pause that doubles from
-attempt to attempt, a source that ends ends the iteration, and an error that a new start cannot mend is raised to whoever
-iterates.
+attempt to attempt, a source that ends ends the iteration, and an error that a new start cannot mend is raised to
+whoever iterates.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Patience:
 
     stalled_s: without a frame until the source is reported stalled. restart_s: until its process is replaced.
     start_s: from the start of a process to its first frame. first_pause_s, longest_pause_s: before a new start.
-    give_up_s: without a frame until the source is lost; max_first_starts: the same by starts, where there never was one.
+    give_up_s: without a frame until the source is lost; max_first_starts: the same by starts, before the first frame.
     """
 
     stalled_s: float = 0.5
@@ -88,6 +88,8 @@ class SupervisedSource:
 
     category: str | None = None
     part_names: tuple[str, ...] | None = None
+    # What the camera says of itself, JSON text; None before the first frame, or where it says nothing.
+    calibration: str | None = None
 
     def __init__(
         self,
@@ -248,6 +250,7 @@ class SupervisedSource:
             self._last_frame_s = now_s
             self._received += 1
             self._current = ready.counts
+            self.calibration = ready.calibration or self.calibration
             if self._newest is not None:
                 self._dropped[SUPERSEDED] += 1
             self._newest = ready, partial(watch.ring.read, ready.content)
