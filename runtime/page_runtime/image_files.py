@@ -7,6 +7,7 @@ at once and not in the middle of a run.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -124,18 +125,52 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
     return np.asarray(_decode(path, cv2.IMREAD_GRAYSCALE)) > 0
 
 
+def decode_color_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint8]:
+    """(H,W,3) uint8 RGB of the bytes of a PNG or JPEG file; where: for the error, a SourceError."""
+    decoded = _decode_bytes(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, where=where)
+    return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+
+
+def decode_depth_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint16]:
+    """(H,W) uint16 of the bytes of a 16-bit PNG file; where: for the error, a SourceError."""
+    decoded = _decode_bytes(data, cv2.IMREAD_UNCHANGED, where=where)
+    if decoded.dtype != np.uint16 or decoded.ndim != 2:
+        raise SourceError(f"{where}: expected depth as a 16-bit single-channel PNG, got {decoded.dtype}{decoded.shape}")
+    return np.asarray(decoded, dtype=np.uint16)
+
+
 def _decode(path: Path, flags: int) -> NDArray[np.uint8 | np.uint16]:
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:
         raise SourceError(f"{path}: cannot read the picture ({error.strerror})") from error
+    return _decode_bytes(data, flags, where=str(path))
+
+
+def _decode_bytes(data: NDArray[np.uint8], flags: int, *, where: str) -> NDArray[np.uint8 | np.uint16]:
+    if data[: len(_PNG_SIGNATURE)].tobytes() == _PNG_SIGNATURE:
+        _require_checksums(data.tobytes(), where=where)
     try:
         decoded = cv2.imdecode(data, flags) if data.size else None
     except cv2.error as error:
-        raise SourceError(f"{path}: OpenCV cannot decode the picture ({error.err})") from error
+        raise SourceError(f"{where}: OpenCV cannot decode the picture ({error.err})") from error
     if decoded is None:
-        raise SourceError(f"{path}: the picture is cut off or damaged; copy or record it again")
+        raise SourceError(f"{where}: the picture is cut off or damaged; copy or record it again")
     return np.asarray(decoded, dtype=np.uint16 if decoded.dtype == np.uint16 else np.uint8)
+
+
+def _require_checksums(png: bytes, *, where: str) -> None:
+    """SourceError unless every chunk of the PNG is whole: OpenCV decodes a damaged one as far as it gets, silently."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(png):
+        end = position + 8 + int.from_bytes(png[position : position + 4])
+        stored = int.from_bytes(png[end : end + 4])
+        if end + 4 > len(png) or zlib.crc32(memoryview(png)[position + 4 : end]) != stored:
+            break
+        if png[position + 4 : position + 8] == b"IEND":
+            return
+        position = end + 4
+    raise SourceError(f"{where}: the picture is cut off or damaged; copy or record it again")
 
 
 def write_color(path: Path, color: NDArray[np.uint8]) -> None:

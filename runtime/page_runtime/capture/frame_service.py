@@ -75,9 +75,7 @@ def serve_frames(factory: Factory, end: ChildEnd) -> None:
             for number, frame in enumerate(frames, start=1):
                 content = ring.write(frame.color, frame.depth, metres_per_unit=frame.metres_per_unit)
                 counts = frame.counts or whole(number)
-                end.send(
-                    FrameReady(content, frame.camera, frame.timestamp_s, frame.skew_s, counts, frame.calibration)
-                )
+                end.send(FrameReady(content, frame.camera, frame.timestamp_s, frame.skew_s, counts, frame.calibration))
                 if end.stopping.is_set():
                     return
     except SourceError as error:
