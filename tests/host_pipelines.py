@@ -16,13 +16,14 @@ import numpy as np
 
 from page_runtime.capture.frame_service import LiveFrame
 from page_runtime.capture.oak import paired_frames
+from page_runtime.frame import RgbdFrame
 
 WIDTH, HEIGHT, FPS = 64, 48, 30.0
 K = [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]]
 CALIBRATION = '{"boardName": "a pipeline without a device"}'
 
 
-def transformation(width: int, height: int) -> dai.ImgTransformation:
+def transformation(width: int, height: int, K: list[list[float]]) -> dai.ImgTransformation:
     extrinsics = dai.Extrinsics()
     extrinsics.rotationMatrix = np.eye(3).tolist()
     extrinsics.translation = dai.Point3f(0, 0, 0)
@@ -39,7 +40,9 @@ def color_pixels(number: int, *, width: int = WIDTH, height: int = HEIGHT) -> np
     return pixels
 
 
-def image(pixels: np.ndarray, kind: dai.ImgFrame.Type, number: int, time_s: float) -> dai.ImgFrame:
+def image(
+    pixels: np.ndarray, kind: dai.ImgFrame.Type, number: int, time_s: float, *, K: list[list[float]] = K
+) -> dai.ImgFrame:
     message = dai.ImgFrame()
     if kind == dai.ImgFrame.Type.RGB888i:
         message.setType(kind)
@@ -52,7 +55,7 @@ def image(pixels: np.ndarray, kind: dai.ImgFrame.Type, number: int, time_s: floa
     stamp = timedelta(seconds=time_s)
     message.setTimestamp(stamp)
     message.setTimestampDevice(stamp)
-    message.setTransformation(transformation(pixels.shape[1], pixels.shape[0]))
+    message.setTransformation(transformation(pixels.shape[1], pixels.shape[0], K))
     return message
 
 
@@ -130,3 +133,27 @@ def synced_numbers(script: dict[str, Any], *, threshold_s: float, groups: int) -
 
 
 SIGNALS = (int(signal.SIGSEGV), int(signal.SIGABRT), int(signal.SIGKILL))
+
+
+class Player(dai.node.ThreadedHostNode):
+    """Given frames, as a camera's node would send them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.color, self.depth = self.createOutput(), self.createOutput()
+        self.frames: list[RgbdFrame] = []
+        self._sent = threading.Event()
+
+    def run(self) -> None:
+        for frame in self.frames:
+            for output, pixels, kind, time_s in (
+                (self.color, frame.color, dai.ImgFrame.Type.RGB888i, frame.timestamp_s),
+                (self.depth, np.rint(frame.depth_m * 1e3).astype(np.uint16), dai.ImgFrame.Type.RAW16,
+                 frame.timestamp_s + frame.skew_s),
+            ):  # fmt: skip
+                output.send(image(pixels, kind, frame.index, time_s, K=frame.camera.K.tolist()))
+            time.sleep(0.002)
+        self._sent.set()
+
+    def wait_until_sent(self) -> None:
+        assert self._sent.wait(20)

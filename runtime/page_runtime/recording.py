@@ -92,8 +92,12 @@ class RecordingWriter:
             file.write(json.dumps(line, allow_nan=False) + "\n")
 
     def keep_calibration(self, text: str) -> None:
-        """Store what the camera says of itself, JSON text, beside the frames."""
-        (self._partial / CALIBRATION_FILE).write_text(text, encoding="utf-8")
+        """Store what the camera says of itself, JSON text, beside the frames; the first time it is told."""
+        if not (self._partial / CALIBRATION_FILE).exists():
+            # Whole or not there, whenever the process is killed.
+            growing = self._partial / f".{CALIBRATION_FILE}"
+            growing.write_text(text, encoding="utf-8")
+            growing.rename(self._partial / CALIBRATION_FILE)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None

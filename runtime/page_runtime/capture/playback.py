@@ -40,6 +40,8 @@ def open_source(path: Path | str, *, window_s: float = WINDOW_S) -> Source:
     place = Path(path)
     if not place.exists():
         raise SourceError(f"{place}: no such folder or file")
+    if place.is_dir() and not any(place.iterdir()):
+        raise SourceError(f"{place}: the folder is empty; expected {UNDERSTOOD}")
     source = _read_file(place, window_s) if place.is_file() else _read_folder(place, window_s)
     if source is None:
         found = found_in(place) if place.is_dir() else "a file of another kind"

@@ -66,10 +66,10 @@ def _repair_mcap(path: Path, target: Path) -> Repaired:
                 writer.attach(name, data)
             for ref in damaged.messages:
                 writer.write(Message(ref.topic, kinds[ref.topic].kind, ref.log_time_ns, damaged.read(ref)))
-        frames = len(open_source(target))
+        played = open_source(target)
     except BaseException:
         target.unlink(missing_ok=True)
         raise
     finally:
         damaged.close()
-    return Repaired(target, frames, damaged.missed)
+    return Repaired(target, len(played), {**damaged.missed, **played.counts.unpaired})
