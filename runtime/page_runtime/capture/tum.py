@@ -90,7 +90,7 @@ def _lines(file: Path, *, columns: int) -> list[tuple[str, list[str]]]:
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
-        if len(words) < columns:
+        if len(words) < columns or "\0" in line:
             raise SourceError(f"{file}, line {number}: expected {columns} columns, got {line.strip()!r}")
         found.append((f"{file}, line {number}", words[:columns]))
     return found
