@@ -17,14 +17,19 @@ def main() -> None:
         if process == 0:
             record(Path(line.strip()))
         os.waitpid(process, 0)
-        print("dead", flush=True)
+        say("dead")
+
+
+def say(what: object) -> None:
+    sys.stdout.write(f"{what}\n")
+    sys.stdout.flush()
 
 
 def record(target: Path) -> None:
-    print(os.getpid(), flush=True)
+    say(os.getpid())
     with frame_writer(target, category="box", part_names=("base", "lid")) as writer:
         for recorded in recorded_toy.endless():
-            print(writer.write(recorded, calibration='{"serial": 1}'), flush=True)
+            say(writer.write(recorded, calibration='{"serial": 1}'))
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def test_depth_that_is_not_aligned_is_refused() -> None:
 def test_without_a_camera_opening_one_says_what_to_check() -> None:
     assert oak.connected_devices() == ()
     for name in ("oak", "oak:14442C10D13EABCE00"):
-        with pytest.raises(DeviceUnavailable, match="USB 3 port.*page-runtime devices"):
+        with pytest.raises(DeviceUnavailable, match=r"USB 3 port.*page-runtime devices"):
             oak.open_oak(name)
 
 

@@ -169,7 +169,7 @@ def test_commands_that_need_a_recording_refuse_a_camera(arguments: list[str], or
     assert "expected a recording, got the camera 'oak'" in capsys.readouterr().err
 
 
-def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded_toy.writer_of("recording", "oak")(tmp_path, recorded_toy.frames(2))
     monkeypatch.chdir(tmp_path)
     assert main(["convert", "./oak", "out.mcap", "--quiet"]) == 0

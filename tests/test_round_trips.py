@@ -140,7 +140,7 @@ def test_depth_that_would_be_changed_is_refused_and_nothing_is_left(layout: str,
     (recorded,) = recorded_toy.frames(1)
     odd = replace(recorded, frame=replace(recorded.frame, depth_m=recorded.frame.depth_m * np.float32(1.00001)))
     with (
-        pytest.raises(SourceError, match="would be changed; write an .mcap"),
+        pytest.raises(SourceError, match=r"would be changed; write an \.mcap"),
         frame_writer(tmp_path / "out", layout) as writer,
     ):
         writer.write(odd)
@@ -158,7 +158,7 @@ def test_a_camera_that_changes_is_refused_where_it_could_not_be_said(tmp_path: P
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_nothing_is_ever_overwritten(layout: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    with pytest.raises(FileExistsError, match="never|ever"), frame_writer(tmp_path / "out", layout):
+    with pytest.raises(FileExistsError, match=r"exists already"), frame_writer(tmp_path / "out", layout):
         pass
 
 

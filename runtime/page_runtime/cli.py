@@ -94,7 +94,7 @@ def _prepare() -> None:
 def _termination_as_interrupt() -> Iterator[None]:
     """SIGTERM ends a command as Ctrl-C does: cameras are closed, files finished."""
 
-    def interrupt(number: int, frame: object) -> NoReturn:
+    def interrupt(*_: object) -> NoReturn:
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():

@@ -54,10 +54,10 @@ Masks = Sequence[Sequence[NDArray[np.bool_]]]
 class RecordingWriter:
     """Writes frames into a folder that appears, complete, when the `with` block ends, and not at all if it fails.
 
-    Until then it is .NAME.partial beside it; a killed process leaves that behind, and finish_recording makes a recording
-    of it. category: None, with no part names, where nothing is known of the objects. depth_unit_mm: resolution of stored
-    depth; 1 is what depth cameras deliver and reaches 65 m, 0.1 reaches 6.5 m. color_suffix: ".png" keeps every value,
-    ".jpg" is a tenth of the size.
+    Until then it is .NAME.partial beside it; a killed process leaves that behind, and finish_recording makes a
+    recording of it. category: None, with no part names, where nothing is known of the objects. depth_unit_mm:
+    resolution of stored depth; 1 is what depth cameras deliver and reaches 65 m, 0.1 reaches 6.5 m. color_suffix:
+    ".png" keeps every value, ".jpg" is a tenth of the size.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """A folder with a colour video, color.mkv (or .avi, .mp4, .mov), and a 16-bit depth picture for each of its frames.
 
-depth/ holds one PNG for each frame of the video, in order of their names; camera_intrinsic.json is that of plain folders.
-timestamps_s.txt, one time a line, is used where it is there; otherwise frames are 1 / fps apart. FFV1 in .mkv or .avi
-keeps every value of the colour; H.264 does not. Depth never belongs into a video: 16 bits do not survive.
+depth/ holds one PNG for each frame of the video, in order of their names; camera_intrinsic.json is that of plain
+folders. timestamps_s.txt, one time a line, is used where it is there; otherwise frames are 1 / fps apart. FFV1 in .mkv
+or .avi keeps every value of the colour; H.264 does not. Depth never belongs into a video: 16 bits do not survive.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ class McapFile:
                 self._file.seek(offset)
                 return
             length = int.from_bytes(prefix[1:], "little")
-            if not 0 < prefix[0] or length > min(MAX_RECORD_BYTES, self._size - offset - 9):
+            if prefix[0] == 0 or length > min(MAX_RECORD_BYTES, self._size - offset - 9):
                 self._file.seek(offset)
                 return
             yield offset, prefix[0], self._file.read(length)

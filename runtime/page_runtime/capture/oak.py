@@ -1,7 +1,7 @@
 """OAK cameras: depth aligned to colour on the device, in a supervised child process. The only importer of depthai.
 
-Everything that touches depthai runs in a child process (`child_process.py`): it aborts the process on any exception in a
-host node, and its device search may do the same. Telemetry is off and the camera keeps its stored calibration, unless
+Everything that touches depthai runs in a child process (`child_process.py`): it aborts the process on any exception in
+a host node, and its device search may do the same. Telemetry is off and the camera keeps its stored calibration, unless
 the environment says otherwise (DEPTHAI_TELEMETRY, DEPTHAI_AUTOCALIBRATION).
 
 The part that needs a device is `_device_pipeline`; it follows Luxonis' documentation of depthai 3 and was never run on
@@ -44,8 +44,8 @@ QUEUE_SIZE = 4
 SEARCH_TIMEOUT_S = 15.0
 POLL = timedelta(milliseconds=100)
 WHAT_TO_CHECK = (
-    "is it plugged into a USB 3 port with a data cable and enough power (or, with Ethernet, in this network); is another "
-    "program using it; on Linux, is there a udev rule for USB vendor 03e7; `page-runtime devices` searches again"
+    "is it plugged into a USB 3 port with a data cable and enough power (or, with Ethernet, in this network); is "
+    "another program using it; on Linux, is there a udev rule for USB vendor 03e7; `page-runtime devices` searches again"
 )
 
 

@@ -26,8 +26,8 @@ class Repaired:
 def repair(path: Path, target: Path | None = None) -> Repaired:
     """Write a whole copy of the damaged MCAP file, or of the unfinished recording folder, `path`.
 
-    target: its name; by default NAME.repaired beside it. The damaged one stays as it is. SourceError when nothing can be
-    recovered, or `path` is of another kind.
+    target: its name; by default NAME.repaired beside it. The damaged one stays as it is. SourceError when nothing can
+    be recovered, or `path` is of another kind.
     """
     if path.is_dir() and is_unfinished(path):
         goal = target or path.with_name(f"{path.name.removeprefix('.').removesuffix('.partial')}.repaired")

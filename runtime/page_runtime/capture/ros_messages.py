@@ -1,7 +1,7 @@
 """Frames as ROS 2 messages and back: Image, CompressedImage, CameraInfo, and what ROS has no message for, as JSON.
 
-Topics are realsense-ros's, which tools know. Depth is 16UC1 millimetres where that is exact, else 32FC1 metres (REP 118),
-so that a frame comes back to the last bit. K is the undistorted camera's, D is zero.
+Topics are realsense-ros's, which tools know. Depth is 16UC1 millimetres where that is exact, else 32FC1 metres (REP
+118), so that a frame comes back to the last bit. K is the undistorted camera's, D is zero.
 """
 
 from __future__ import annotations

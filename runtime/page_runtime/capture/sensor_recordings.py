@@ -2,8 +2,8 @@
 
 Open3D aligns the depth of either to colour while it reads. It says a RealSense's K, but not an Azure Kinect's, whose
 camera_intrinsic.json must lie beside the file; Microsoft's k4arecord library must be installed for it, and its colour
-keeps what lens distortion it has. Neither was tried on a recording of a camera: none was at hand. What is tested is that
-other files are refused.
+keeps what lens distortion it has. Neither was tried on a recording of a camera: none was at hand. What is tested is
+that other files are refused.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """TUM RGB-D sequences: rgb/, depth/ and their lists with a timestamp for each picture, paired within the window.
 
-rgb.txt and depth.txt hold "timestamp path" lines; where they are missing, associations.txt holds both in a line. Depth is
-5000 units a metre and registered to colour. The camera is camera_intrinsic.json where there is one (Open3D's, as in plain
-folders, which may give another depth_scale); otherwise, in folders named freiburg1, 2 or 3, the benchmark's own
+rgb.txt and depth.txt hold "timestamp path" lines; where they are missing, associations.txt holds both in a line. Depth
+is 5000 units a metre and registered to colour. The camera is camera_intrinsic.json where there is one (Open3D's, as in
+plain folders, which may give another depth_scale); otherwise, in folders named freiburg1, 2 or 3, the benchmark's own
 calibration, with the lens distortion taken out.
 Format and calibration: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 """
