@@ -1,4 +1,4 @@
-"""The synchroniser makes as many frames as can be made, counts everything else, and says when there are none to make."""
+"""The synchroniser makes as many frames as can be made, counts everything else, and says when there are none."""
 
 from __future__ import annotations
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 JPEG_QUALITY = 92
+# zlib's levels: a camera's picture takes tens of milliseconds at the one, most of a second at the other.
+PNG_SMALLEST, PNG_FASTEST = 9, 1
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_TRAILER = b"IEND\xaeB`\x82"
@@ -173,13 +175,16 @@ def _require_checksums(png: bytes, *, where: str) -> None:
     raise SourceError(f"{where}: the picture is cut off or damaged; copy or record it again")
 
 
-def write_color(path: Path, color: NDArray[np.uint8]) -> None:
-    """Write (H,W,3) uint8 RGB as the PNG or JPEG the path's suffix says."""
-    _encode(path, np.ascontiguousarray(color[..., ::-1]))
+def write_color(path: Path, color: NDArray[np.uint8], *, effort: int = PNG_SMALLEST) -> None:
+    """Write (H,W,3) uint8 RGB as the PNG or JPEG the path's suffix says. effort: PNG_SMALLEST or PNG_FASTEST."""
+    _encode(path, np.ascontiguousarray(color[..., ::-1]), effort)
 
 
-def write_depth(path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: float) -> None:
-    """Write (H,W) float32 metres as whole units in a 16-bit PNG; ValueError when a reading does not fit."""
+def write_depth(
+    path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: float, effort: int = PNG_SMALLEST
+) -> None:
+    """Write (H,W) float32 metres as whole units in a 16-bit PNG; ValueError when a reading does not fit. effort: as in
+    write_color."""
     units = np.rint(np.nan_to_num(depth_m.astype(np.float64) / metres_per_unit, nan=0.0, posinf=0.0))
     limit = np.iinfo(np.uint16).max
     if units.min(initial=0) < 0 or units.max(initial=0) > limit:
@@ -188,19 +193,19 @@ def write_depth(path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: fl
             f"depth_m: units of {unit_mm:g} mm reach from 0 to {limit * metres_per_unit:.4g} m, got "
             f"{depth_m.min():.4g} to {depth_m.max():.4g} m; choose a larger unit"
         )
-    _encode(path, units.astype(np.uint16))
+    _encode(path, units.astype(np.uint16), effort)
 
 
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
     """Write (H,W) bool as an 8-bit PNG of 0 and 255."""
-    _encode(path, np.where(mask, np.uint8(255), np.uint8(0)))
+    _encode(path, np.where(mask, np.uint8(255), np.uint8(0)), PNG_SMALLEST)
 
 
-def _encode(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def _encode(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], effort: int) -> None:
     suffix = path.suffix.lower()
     if suffix not in COLOR_SUFFIXES:
         raise ValueError(f"{path}: expected a name ending in {', '.join(COLOR_SUFFIXES)}")
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 9] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    options = [cv2.IMWRITE_PNG_COMPRESSION, effort] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     written, data = cv2.imencode(suffix, pixels, options)
     if not written:
         raise OSError(f"{path}: cannot encode a {pixels.dtype} picture of shape {pixels.shape}")

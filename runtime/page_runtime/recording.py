@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from page_runtime.capture.bop import BopScene, open_scene, pose_of
 from page_runtime.capture.documents import METRES_PER_MM, field, listed, number, numbers, read_object
 from page_runtime.geometry import Array
-from page_runtime.image_files import SourceError, read_header, write_color, write_depth, write_mask
+from page_runtime.image_files import PNG_SMALLEST, SourceError, read_header, write_color, write_depth, write_mask
 from page_runtime.recorded import (
     FrameEntry,
     Instance,
@@ -57,7 +57,7 @@ class RecordingWriter:
     Until then it is .NAME.partial beside it; a killed process leaves that behind, and finish_recording makes a
     recording of it. category: None, with no part names, where nothing is known of the objects. depth_unit_mm:
     resolution of stored depth; 1 is what depth cameras deliver and reaches 65 m, 0.1 reaches 6.5 m. color_suffix:
-    ".png" keeps every value, ".jpg" is a tenth of the size.
+    ".png" keeps every value, ".jpg" is a tenth of the size. effort: PNG_FASTEST where a camera would not wait.
     """
 
     def __init__(
@@ -68,6 +68,7 @@ class RecordingWriter:
         part_names: Sequence[str],
         depth_unit_mm: float = 1.0,
         color_suffix: Literal[".png", ".jpg"] = ".png",
+        effort: int = PNG_SMALLEST,
     ) -> None:
         self.path = Path(path)
         if self.path.exists():
@@ -76,6 +77,7 @@ class RecordingWriter:
         self.part_names = tuple(part_names)
         self.depth_unit_mm = depth_unit_mm
         self.color_suffix = color_suffix
+        self.effort = effort
         self._partial = self.path.with_name(f".{self.path.name}.partial")
         self._frames: list[FrameDocuments] = []
 
@@ -117,10 +119,9 @@ class RecordingWriter:
         frame, index = recorded.frame, len(self._frames)
         self._check(recorded, masks)
         name = f"{index:06d}"
-        write_color(self._partial / "rgb" / (name + self.color_suffix), frame.color)
-        write_depth(
-            self._partial / "depth" / f"{name}.png", frame.depth_m, metres_per_unit=self.depth_unit_mm * METRES_PER_MM
-        )
+        write_color(self._partial / "rgb" / (name + self.color_suffix), frame.color, effort=self.effort)
+        depth_path, metres_per_unit = self._partial / "depth" / f"{name}.png", self.depth_unit_mm * METRES_PER_MM
+        write_depth(depth_path, frame.depth_m, metres_per_unit=metres_per_unit, effort=self.effort)
         camera: dict[str, Any] = {"cam_K": frame.camera.K.ravel().tolist(), "depth_scale": self.depth_unit_mm}
         if not np.array_equal(frame.camera.T_camera_world, np.eye(4)):
             camera |= _pose_fields(frame.camera.T_camera_world, "cam_R_w2c", "cam_t_w2c")

@@ -1,8 +1,8 @@
 """Frames into one MCAP file that any ROS 2 tool reads, and that is worth something when the program is killed.
 
 Frames are written in chunks, each whole and with a checksum, and each chunk is handed to the system at once: what a
-kill costs is the chunk that was being filled. `repair.py` closes such a file. Calibration is inside: a CameraInfo with every
-frame, and the camera's own, where it has one, as the attachment calibration.json.
+kill costs is the chunk that was being filled. `repair.py` closes such a file. Calibration is inside: a CameraInfo with
+every frame, and the camera's own, where it has one, as the attachment calibration.json.
 """
 
 from __future__ import annotations

@@ -45,7 +45,8 @@ SEARCH_TIMEOUT_S = 15.0
 POLL = timedelta(milliseconds=100)
 WHAT_TO_CHECK = (
     "is it plugged into a USB 3 port with a data cable and enough power (or, with Ethernet, in this network); is "
-    "another program using it; on Linux, is there a udev rule for USB vendor 03e7; `page-runtime devices` searches again"
+    "another program using it; on Linux, is there a udev rule for USB vendor 03e7; "
+    "`page-runtime devices` searches again"
 )
 
 

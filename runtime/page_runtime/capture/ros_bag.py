@@ -1,9 +1,9 @@
 """ROS 2 bags, sqlite3 and MCAP, with or without metadata.yaml, whole or damaged.
 
 Played are one colour topic (Image or CompressedImage), one of depth registered to it, and the colour's CameraInfo. A
-bag is read once from end to end when it is opened: readings are paired by their header's stamps, and what cannot be read is
-counted. Pixels are read when a frame is asked for. sqlite3 is read by rosbags; it has no checksums, so there a changed
-byte inside a picture cannot be noticed.
+bag is read once from end to end when it is opened: readings are paired by their header's stamps, and what cannot be
+read is counted. Pixels are read when a frame is asked for. sqlite3 is read by rosbags; it has no checksums, nor has
+MCAP that rosbags wrote, so there a changed byte inside a picture cannot be noticed.
 """
 
 from __future__ import annotations
