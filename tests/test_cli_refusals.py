@@ -115,7 +115,7 @@ def test_a_broken_bundle_is_refused_in_a_sentence(
 BAD_CALLS: dict[str, tuple[list[str], str]] = {
     "an empty folder": (["run", "{}/empty", "--bundle", "B"], "the folder is empty"),
     "no such folder": (["run", "{}/nowhere", "--bundle", "B"], "no such folder"),
-    "a file": (["run", "{}/file", "--bundle", "B"], "expected a folder, got a file"),
+    "a file": (["run", "{}/file", "--bundle", "B"], "found a file of another kind"),
     "a folder of something else": (["run", "{}/else", "--bundle", "B"], "found notes.txt"),
     "nothing says where the object is": (["run", "{}/plain", "--bundle", "B"], "pass --region x,y,w,h"),
     "no truth": (["validate", "{}/plain", "--bundle", "B"], "does not say where|no true poses"),

@@ -8,14 +8,22 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 from page_runtime.commands.usage import UsageError
 
 EXIT_BAD_INPUT = 2
+EXIT_NO_CAMERA = 3
 EXIT_INTERRUPTED = 130
+# Commands that share a module with another.
+MODULES = {"convert": "record"}
+LAYOUTS = ("recording", "mcap", "ros2-mcap", "ros2-sqlite3", "tum", "pictures", "video")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -26,12 +34,14 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 130 interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 130
+    interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
         _prepare()
-        return _call(command, options)
+        with _termination_as_interrupt():
+            return _call(command, options)
     except UsageError as error:
         return _refuse(error)
     except KeyboardInterrupt:
@@ -48,10 +58,13 @@ def _call(command: str, options: dict[str, object]) -> int:
     from importlib import import_module
 
     from page_runtime.bundle import BundleError
+    from page_runtime.capture.frame_service import DeviceUnavailable
     from page_runtime.image_files import SourceError
 
     try:
-        getattr(import_module(f"page_runtime.commands.{command}"), command)(**options)
+        getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
+    except DeviceUnavailable as error:
+        return _refuse(error, code=EXIT_NO_CAMERA)
     except (BundleError, SourceError) as error:
         return _refuse(error)
     except BrokenPipeError:
@@ -61,9 +74,9 @@ def _call(command: str, options: dict[str, object]) -> int:
     return 0
 
 
-def _refuse(error: Exception) -> int:
+def _refuse(error: Exception, *, code: int = EXIT_BAD_INPUT) -> int:
     sys.stderr.write(f"page-runtime: {' '.join(str(error).split())}\n")
-    return EXIT_BAD_INPUT
+    return code
 
 
 def _prepare() -> None:
@@ -77,24 +90,53 @@ def _prepare() -> None:
         os.environ[name] = "1"
 
 
+@contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """SIGTERM ends a command as Ctrl-C does: cameras are closed, files finished."""
+
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
-    def command(name: str, description: str, given: str, meaning: str) -> argparse.ArgumentParser:
+    def command(name: str, description: str, given: str, meaning: str, kind: type = str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=description, description=description)
-        sub.add_argument(given, metavar=given.upper(), type=Path, help=meaning)
+        sub.add_argument(given, metavar=given.upper(), type=kind, help=meaning)
         return sub
+
+    def pairs(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--window-ms", metavar="MS", dest="window_s", type=_milliseconds, default=0.02, help=window_help
+        )
+
+    def limited(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("--frames", metavar="N", type=_count, default=0, help="stop after N frames (default: all)")
 
     def common(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--bundle", metavar="B", type=Path, required=True, help="the category's .onnx file")
         sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
         sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        pairs(sub)
 
+    window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
+    source_help = "a folder or file of RGB-D frames, or a camera: oak, oak:DEVICE"
     looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
-    run = command("run", "write one JSON line for every object in every frame", "source", "a folder of RGB-D frames")
+    run = command("run", "write one JSON line for every object in every frame", "source", source_help)
+    limited(run)
     region_help = "where the object is, px (--region=-5,3,10,10 for a minus first); default: where the source says"
     run.add_argument("--region", metavar="X,Y,W,H", type=_region, help=region_help)
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
@@ -107,9 +149,33 @@ def _parser() -> argparse.ArgumentParser:
     bench = command("bench", "time every stage", "recording", "a folder of RGB-D frames with regions")
     bench.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
     common(bench)
-    inspect = command("inspect", "say what a bundle holds", "bundle", "a .onnx file")
+    inspect = command("inspect", "say what a bundle holds", "bundle", "a .onnx file", Path)
     inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
+    devices = commands.add_parser("devices", help="list the cameras", description="list the cameras that answer")
+    devices.add_argument("--json", dest="as_json", action="store_true", help="as a JSON list")
+    record = command("record", "write the frames of a camera or recording as they come", "source", source_help)
+    record.add_argument("target", metavar="TARGET", type=Path, help="a new .mcap file, or a new folder (recording)")
+    convert = command("convert", "write a recording in another layout", "source", "a folder or file of RGB-D frames")
+    convert.add_argument("target", metavar="TARGET", type=Path, help="a new .mcap file or folder")
+    convert.add_argument("--layout", choices=LAYOUTS, help="of TARGET (default: mcap for .mcap, else recording)")
+    for sub in (record, convert):
+        limited(sub)
+        pairs(sub)
+        sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    repair_help = "make a whole recording of one that was cut short or damaged"
+    repair = command("repair", repair_help, "recording", "an .mcap file, a bag, or .NAME.partial", Path)
+    repair.add_argument("--out", metavar="PATH", type=Path, help="its name (default: NAME.repaired beside it)")
     return parser
+
+
+def _milliseconds(text: str) -> float:
+    try:
+        value = float(text) * 1e-3
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text!r}")
+    return value
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

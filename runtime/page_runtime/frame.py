@@ -15,7 +15,8 @@ class RgbdFrame:
     """Colour and depth seen by one camera at one time.
 
     color: (H,W,3) uint8 RGB. depth_m: (H,W) float32 z-depth in metres registered to colour, 0 = no reading.
-    camera: the undistorted pinhole of both. timestamp_s: the source's clock. index: the frame's number in its source.
+    camera: the undistorted pinhole of both. timestamp_s: of the colour picture, the source's clock. index: the frame's
+    number in its source. skew_s: time of the depth minus time of the colour, 0 where they are one reading.
     """
 
     color: NDArray[np.uint8]
@@ -23,6 +24,7 @@ class RgbdFrame:
     camera: Camera
     timestamp_s: float = 0.0
     index: int = 0
+    skew_s: float = 0.0
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)

@@ -7,6 +7,7 @@ at once and not in the middle of a run.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 JPEG_QUALITY = 92
+# zlib's levels: a camera's picture takes tens of milliseconds at the one, most of a second at the other.
+PNG_SMALLEST, PNG_FASTEST = 9, 1
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_TRAILER = b"IEND\xaeB`\x82"
@@ -106,7 +109,17 @@ def read_color(path: Path) -> NDArray[np.uint8]:
 def read_depth(path: Path, *, metres_per_unit: float) -> NDArray[np.float32]:
     """(H,W) float32 metres, 0 = no reading."""
     require_depth_header(path)
-    return _decode(path, cv2.IMREAD_UNCHANGED).astype(np.float32) * np.float32(metres_per_unit)
+    units = np.asarray(_decode(path, cv2.IMREAD_UNCHANGED), dtype=np.uint16)
+    return depth_in_metres(units, metres_per_unit=metres_per_unit)
+
+
+def depth_in_metres(units: NDArray[np.uint16], *, metres_per_unit: float) -> NDArray[np.float32]:
+    """float32 metres nearest to whole units, of any shape.
+
+    The product is made in double precision: 1 unit of 1 mm and 5 of 0.2 mm then give the same float32, so that a frame
+    is the same to the last bit in whatever unit a format stores it.
+    """
+    return np.multiply(units, metres_per_unit, dtype=np.float64).astype(np.float32)
 
 
 def read_mask(path: Path) -> NDArray[np.bool_]:
@@ -114,27 +127,64 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
     return np.asarray(_decode(path, cv2.IMREAD_GRAYSCALE)) > 0
 
 
+def decode_color_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint8]:
+    """(H,W,3) uint8 RGB of the bytes of a PNG or JPEG file; where: for the error, a SourceError."""
+    decoded = _decode_bytes(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, where=where)
+    return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+
+
+def decode_depth_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint16]:
+    """(H,W) uint16 of the bytes of a 16-bit PNG file; where: for the error, a SourceError."""
+    decoded = _decode_bytes(data, cv2.IMREAD_UNCHANGED, where=where)
+    if decoded.dtype != np.uint16 or decoded.ndim != 2:
+        raise SourceError(f"{where}: expected depth as a 16-bit single-channel PNG, got {decoded.dtype}{decoded.shape}")
+    return np.asarray(decoded, dtype=np.uint16)
+
+
 def _decode(path: Path, flags: int) -> NDArray[np.uint8 | np.uint16]:
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:
         raise SourceError(f"{path}: cannot read the picture ({error.strerror})") from error
+    return _decode_bytes(data, flags, where=str(path))
+
+
+def _decode_bytes(data: NDArray[np.uint8], flags: int, *, where: str) -> NDArray[np.uint8 | np.uint16]:
+    if data[: len(_PNG_SIGNATURE)].tobytes() == _PNG_SIGNATURE:
+        _require_checksums(data.tobytes(), where=where)
     try:
         decoded = cv2.imdecode(data, flags) if data.size else None
     except cv2.error as error:
-        raise SourceError(f"{path}: OpenCV cannot decode the picture ({error.err})") from error
+        raise SourceError(f"{where}: OpenCV cannot decode the picture ({error.err})") from error
     if decoded is None:
-        raise SourceError(f"{path}: the picture is cut off or damaged; copy or record it again")
+        raise SourceError(f"{where}: the picture is cut off or damaged; copy or record it again")
     return np.asarray(decoded, dtype=np.uint16 if decoded.dtype == np.uint16 else np.uint8)
 
 
-def write_color(path: Path, color: NDArray[np.uint8]) -> None:
-    """Write (H,W,3) uint8 RGB as the PNG or JPEG the path's suffix says."""
-    _encode(path, np.ascontiguousarray(color[..., ::-1]))
+def _require_checksums(png: bytes, *, where: str) -> None:
+    """SourceError unless every chunk of the PNG is whole: OpenCV decodes a damaged one as far as it gets, silently."""
+    position = len(_PNG_SIGNATURE)
+    while position + 12 <= len(png):
+        end = position + 8 + int.from_bytes(png[position : position + 4])
+        stored = int.from_bytes(png[end : end + 4])
+        if end + 4 > len(png) or zlib.crc32(memoryview(png)[position + 4 : end]) != stored:
+            break
+        if png[position + 4 : position + 8] == b"IEND":
+            return
+        position = end + 4
+    raise SourceError(f"{where}: the picture is cut off or damaged; copy or record it again")
 
 
-def write_depth(path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: float) -> None:
-    """Write (H,W) float32 metres as whole units in a 16-bit PNG; ValueError when a reading does not fit."""
+def write_color(path: Path, color: NDArray[np.uint8], *, effort: int = PNG_SMALLEST) -> None:
+    """Write (H,W,3) uint8 RGB as the PNG or JPEG the path's suffix says. effort: PNG_SMALLEST or PNG_FASTEST."""
+    _encode(path, np.ascontiguousarray(color[..., ::-1]), effort)
+
+
+def write_depth(
+    path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: float, effort: int = PNG_SMALLEST
+) -> None:
+    """Write (H,W) float32 metres as whole units in a 16-bit PNG; ValueError when a reading does not fit. effort: as in
+    write_color."""
     units = np.rint(np.nan_to_num(depth_m.astype(np.float64) / metres_per_unit, nan=0.0, posinf=0.0))
     limit = np.iinfo(np.uint16).max
     if units.min(initial=0) < 0 or units.max(initial=0) > limit:
@@ -143,19 +193,19 @@ def write_depth(path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: fl
             f"depth_m: units of {unit_mm:g} mm reach from 0 to {limit * metres_per_unit:.4g} m, got "
             f"{depth_m.min():.4g} to {depth_m.max():.4g} m; choose a larger unit"
         )
-    _encode(path, units.astype(np.uint16))
+    _encode(path, units.astype(np.uint16), effort)
 
 
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
     """Write (H,W) bool as an 8-bit PNG of 0 and 255."""
-    _encode(path, np.where(mask, np.uint8(255), np.uint8(0)))
+    _encode(path, np.where(mask, np.uint8(255), np.uint8(0)), PNG_SMALLEST)
 
 
-def _encode(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def _encode(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16], effort: int) -> None:
     suffix = path.suffix.lower()
     if suffix not in COLOR_SUFFIXES:
         raise ValueError(f"{path}: expected a name ending in {', '.join(COLOR_SUFFIXES)}")
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 9] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    options = [cv2.IMWRITE_PNG_COMPRESSION, effort] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     written, data = cv2.imencode(suffix, pixels, options)
     if not written:
         raise OSError(f"{path}: cannot encode a {pixels.dtype} picture of shape {pixels.shape}")

@@ -6,13 +6,16 @@ facts are small, so a source is checked whole before its first frame is used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
+from page_runtime.capture.counts import FrameCounts, whole
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, require_rigid
 from page_runtime.image_files import SourceError, read_color, read_depth, read_header, require_depth_header
@@ -64,9 +67,36 @@ class RecordedFrame:
     instances: tuple[Instance, ...] = ()
 
 
+class FrameSource(Protocol):
+    """What every source of frames is, live or recorded.
+
+    Iterating gives frames with depth registered to colour, in order. A recorded source gives every frame, the same ones
+    each time; a live source gives the newest, once. format: in words. category, part_names: None where the source does
+    not say. counts: what became of the readings so far. calibration: what the camera says of itself, JSON text.
+    """
+
+    @property
+    def format(self) -> str: ...
+    @property
+    def category(self) -> str | None: ...
+    @property
+    def part_names(self) -> tuple[str, ...] | None: ...
+    @property
+    def counts(self) -> FrameCounts: ...
+    @property
+    def calibration(self) -> str | None: ...
+
+    def __iter__(self) -> Iterator[RecordedFrame]: ...
+
+
+# color (H,W,3) uint8 RGB and depth_m (H,W) float32.
+Pixels = tuple[NDArray[np.uint8], NDArray[np.float32]]
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class FrameEntry:
-    """A frame on disk. metres_per_unit: of its depth picture. index: the number results are reported under."""
+    """A frame on disk. color_path, depth_path: its pictures, or the file they are in. metres_per_unit: of its depth
+    picture. index: the number results are reported under. decode: reads the pixels where they are not two pictures."""
 
     color_path: Path
     depth_path: Path
@@ -75,13 +105,18 @@ class FrameEntry:
     instances: tuple[Instance, ...] = ()
     timestamp_s: float = 0.0
     index: int = 0
+    skew_s: float = 0.0
+    decode: Callable[[], Pixels] | None = None
 
     def read(self) -> RecordedFrame:
         """Decode the pictures; SourceError when one cannot be read."""
-        color = read_color(self.color_path)
-        depth_m = read_depth(self.depth_path, metres_per_unit=self.metres_per_unit)
+        if self.decode is not None:
+            color, depth_m = self.decode()
+        else:
+            color = read_color(self.color_path)
+            depth_m = read_depth(self.depth_path, metres_per_unit=self.metres_per_unit)
         try:
-            frame = RgbdFrame(color, depth_m, self.camera, self.timestamp_s, self.index)
+            frame = RgbdFrame(color, depth_m, self.camera, self.timestamp_s, self.index, self.skew_s)
         except ValueError as error:
             raise SourceError(f"{self.color_path}: {error}") from error
         return RecordedFrame(frame, self.instances)
@@ -89,13 +124,17 @@ class FrameEntry:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Source:
-    """Recorded frames in order. format: in words. category, part_names: None where the format does not say."""
+    """Recorded frames in order. format: in words. category, part_names: None where the format does not say. pairing:
+    what became of the readings, where the format stores readings and not frames. calibration: of the camera, where it
+    was recorded."""
 
     path: Path
     format: str
     entries: tuple[FrameEntry, ...]
     category: str | None = None
     part_names: tuple[str, ...] | None = None
+    pairing: FrameCounts | None = None
+    calibration: str | None = None
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -103,6 +142,11 @@ class Source:
     def __iter__(self) -> Iterator[RecordedFrame]:
         """Frames one by one; only the one in use is in memory."""
         return (entry.read() for entry in self.entries)
+
+    @property
+    def counts(self) -> FrameCounts:
+        """What became of the readings: known before the first frame is read."""
+        return self.pairing or whole(len(self.entries))
 
     @property
     def has_regions(self) -> bool:
@@ -153,15 +197,8 @@ def require_playable(source: Source) -> Source:
     if not source.entries:
         raise SourceError(f"{source.path}: no frames in this {source.format}")
     for entry in source.entries:
-        depth = require_depth_header(entry.depth_path)
-        if (depth.width, depth.height) != (entry.camera.width, entry.camera.height):
-            raise SourceError(
-                f"{entry.depth_path}: depth is {depth.width}x{depth.height} but {entry.color_path.name} is "
-                f"{entry.camera.width}x{entry.camera.height}; register depth to colour first"
-            )
-        if not (np.isfinite(entry.metres_per_unit) and entry.metres_per_unit > 0):
-            scale_mm = entry.metres_per_unit * 1e3
-            raise SourceError(f"{entry.depth_path}: expected a positive depth scale, got {scale_mm} mm a unit")
+        if entry.decode is None:
+            _require_depth_picture(entry)
         for instance in entry.instances:
             if instance.region is None:
                 continue
@@ -170,3 +207,15 @@ def require_playable(source: Source) -> Source:
             except ValueError as error:
                 raise SourceError(f"{source.path}, frame {entry.index}: {error}") from error
     return source
+
+
+def _require_depth_picture(entry: FrameEntry) -> None:
+    depth = require_depth_header(entry.depth_path)
+    if (depth.width, depth.height) != (entry.camera.width, entry.camera.height):
+        raise SourceError(
+            f"{entry.depth_path}: depth is {depth.width}x{depth.height} but {entry.color_path.name} is "
+            f"{entry.camera.width}x{entry.camera.height}; register depth to colour first"
+        )
+    if not (np.isfinite(entry.metres_per_unit) and entry.metres_per_unit > 0):
+        scale_mm = entry.metres_per_unit * 1e3
+        raise SourceError(f"{entry.depth_path}: expected a positive depth scale, got {scale_mm} mm a unit")

@@ -2,7 +2,7 @@
 
 BOP says neither what the parts of an object are nor how their canonical frames lie, so a foreign scene gives regions
 (one instance for each entry of scene_gt_info.json) and no truths. The project's own recordings say it in
-recording.json.
+recording.json. A timestamp_s in scene_camera.json, which BOP does not know either, is read where it is there.
 Format: https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md
 """
 
@@ -58,6 +58,7 @@ class BopScene:
             depth_path=self.depth[key],
             metres_per_unit=scale_mm * METRES_PER_MM,
             camera=_placed(camera, values, where=where),
+            timestamp_s=number(values.get("timestamp_s", 0.0), where=f"{where}, timestamp_s"),
             index=key,
         )
 

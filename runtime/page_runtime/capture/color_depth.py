@@ -2,7 +2,8 @@
 
 What RealSense and Open3D recorders leave behind. camera_intrinsic.json is Open3D's: width, height, intrinsic_matrix of
 nine numbers column by column; depth is in millimetres unless it has a `depth_scale` (mm per unit). det_bboxes.json is a
-list of {"image_file_name", "bbox": [x1, y1, x2, y2]}, any number for each picture.
+list of {"image_file_name", "bbox": [x1, y1, x2, y2]}, any number for each picture. timestamps_s.txt, where it is there,
+has the time of each picture, one a line, in order of their names.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from page_runtime.capture.documents import (
     METRES_PER_MM,
     field,
     frame_numbers,
+    frame_times,
     listed,
     number,
     numbers,
@@ -39,6 +41,7 @@ def read_color_depth(path: Path) -> Source:
     unknown = sorted(set(boxes) - {file.name for file in color.values()})
     if unknown:
         raise SourceError(f"{path / BOXES_FILE}: {unknown[0]!r} is not a picture in color/")
+    times_s = frame_times(path, len(color)) or [0.0] * len(color)
     entries = tuple(
         FrameEntry(
             color_path=file,
@@ -46,9 +49,10 @@ def read_color_depth(path: Path) -> Source:
             metres_per_unit=metres_per_unit,
             camera=folder_camera(path, file),
             instances=tuple(Instance(region) for region in boxes.get(file.name, ())),
+            timestamp_s=time_s,
             index=index,
         )
-        for index, (name, file) in zip(frame_numbers(list(color)), color.items(), strict=True)
+        for index, (name, file), time_s in zip(frame_numbers(list(color)), color.items(), times_s, strict=True)
     )
     return require_playable(Source(path, FORMAT, entries))
 
@@ -68,14 +72,19 @@ def paired_pictures(path: Path) -> tuple[dict[str, Path], dict[str, Path]]:
 
 def folder_camera(path: Path, color_path: Path) -> Camera:
     """The camera of one picture by the folder's camera_intrinsic.json."""
+    rows, size = folder_intrinsics(path)
+    return camera_of_picture(rows, color_path, where=str(path / INTRINSICS_FILE), declared_size=size)
+
+
+def folder_intrinsics(path: Path) -> tuple[list[list[float]], tuple[int, int]]:
+    """K, row by row, and the (width, height) it is for, from the folder's camera_intrinsic.json."""
     file = path / INTRINSICS_FILE
     if not file.is_file():
         raise SourceError(f"{path}: no {INTRINSICS_FILE}; expected width, height and intrinsic_matrix in it")
     document = read_object(file)
     size = numbers([field(document, name, where=str(file)) for name in ("width", "height")], 2, where=f"{file}, size")
     columns = numbers(field(document, "intrinsic_matrix", where=str(file)), 9, where=f"{file}, intrinsic_matrix")
-    rows = [columns[i::3] for i in range(3)]
-    return camera_of_picture(rows, color_path, where=str(file), declared_size=(round(size[0]), round(size[1])))
+    return [columns[i::3] for i in range(3)], (round(size[0]), round(size[1]))
 
 
 def depth_unit(path: Path) -> float:

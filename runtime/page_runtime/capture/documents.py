@@ -11,6 +11,7 @@ from page_runtime.image_files import COLOR_SUFFIXES, SourceError
 
 MAX_NAMES_SHOWN = 8
 METRES_PER_MM = 1e-3
+TIMES_FILE = "timestamps_s.txt"
 
 
 def read_json(path: Path) -> Any:
@@ -90,6 +91,20 @@ def frame_numbers(names: list[str]) -> list[int]:
         if len(set(values)) == len(values):
             return values
     return list(range(len(names)))
+
+
+def frame_times(folder: Path, count: int) -> list[float] | None:
+    """The times, s, in the folder's timestamps_s.txt, one for each frame; None where there is no such file."""
+    file = folder / TIMES_FILE
+    if not file.exists():
+        return None
+    try:
+        times_s = [float(line) for line in file.read_text(encoding="utf-8").split()]
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{file}: expected one time in seconds a line ({error})") from error
+    if len(times_s) != count or not all(math.isfinite(time_s) for time_s in times_s):
+        raise SourceError(f"{file}: expected {count} times, one for each frame, got {len(times_s)}")
+    return times_s
 
 
 def found_in(folder: Path) -> str:

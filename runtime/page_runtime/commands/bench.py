@@ -13,9 +13,11 @@ from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
 
 
-def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, looks: int, quiet: bool) -> None:
+def bench(
+    recording: str, *, bundle: Path, json: Path | None, window_s: float, threads: int, looks: int, quiet: bool
+) -> None:
     """Time every frame of `recording`; write the figures to `json` and a table to standard output."""
-    inputs = open_inputs(recording, bundle, threads=threads, looks=looks)
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, window_s=window_s, command="bench")
     require_file_place(json, option="--json")
     with Progress("bench", len(inputs.source), quiet=quiet) as progress:
         timings, left_out = time_estimates(inputs.network, inputs.source, max_looks=looks, on_frame=progress.advance)
@@ -23,7 +25,7 @@ def bench(recording: Path, *, bundle: Path, json: Path | None, threads: int, loo
         raise UsageError(f"{recording}: no frame has enough depth in its region to run the network; nothing to time")
     document = report(timings, threads=inputs.threads)
     document |= {
-        "recording": recording.name,
+        "recording": Path(recording).name,
         "bundle": bundle.name,
         "frames": len(inputs.source),
         "left_out": left_out,

@@ -3,57 +3,84 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import cv2
 
-from page_runtime.capture.playback import open_source
+from page_runtime.commands.sources import open_recorded
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
 from page_runtime.pose import ArticulatedPose, not_seen
-from page_runtime.recorded import Instance, RecordedFrame, Source
+from page_runtime.recorded import FrameSource, Instance, RecordedFrame, Source
 from page_runtime.sampling import Region, check_region
 
+AnySource = TypeVar("AnySource", bound=FrameSource)
 NO_REGION = "not seen: nothing says where the object is in this frame; pass --region"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Inputs:
+class Inputs(Generic[AnySource]):
     """A loaded bundle and an opened source that go together; threads: what onnxruntime and OpenCV were given; looks: at
-    most so many at a frame."""
+    most so many at a frame; region: takes the place of all the source's own."""
 
     network: Network
-    source: Source
+    source: AnySource
     threads: int
     looks: int
+    region: Region | None = None
 
 
-def open_inputs(source: Path, bundle: Path, *, threads: int, looks: int, region: Region | None = None) -> Inputs:
-    """Load and open; threads 0: one for each processor; `region` takes the place of all the source's own.
-
-    Errors say what does not fit.
-    """
+def load_network(bundle: Path, *, threads: int, looks: int) -> tuple[Network, int]:
+    """The bundle's network, and the threads it was given; threads 0: one for each processor."""
     if looks < 1:
         raise UsageError(f"--looks: expected at least 1, got {looks}")
     threads = threads or available_threads()
     cv2.setNumThreads(threads)
-    network = Network(bundle, threads=threads)
-    opened = open_source(source)
-    category = network.metadata.category
-    if opened.category is not None and opened.category != category.name:
-        raise UsageError(f"{bundle} is for the category {category.name!r}, but {source} holds {opened.category!r}")
-    names = tuple(part.name for part in category.parts)
-    if opened.part_names is not None and opened.part_names != names:
-        known, found = ", ".join(names), ", ".join(opened.part_names)
-        raise UsageError(f"{bundle} knows the parts {known}, but {source} has {found}")
-    if region is not None:
-        opened = _with_region(opened, region)
-    if not opened.has_regions:
-        raise UsageError(f"{source}: this {opened.format} does not say where the object is; pass --region x,y,w,h")
+    return Network(bundle, threads=threads), threads
+
+
+def open_inputs(
+    source: str, bundle: Path, *, threads: int, looks: int, window_s: float, command: str
+) -> Inputs[Source]:
+    """Load a bundle and open a recording with regions; errors say what does not fit."""
+    network, threads = load_network(bundle, threads=threads, looks=looks)
+    opened = open_recorded(source, window_s=window_s, command=command)
+    require_fitting(bundle, network, source, opened)
+    require_region(source, opened, None)
     return Inputs(network, opened, threads, looks)
+
+
+def require_fitting(bundle: Path, network: Network, name: str, source: FrameSource) -> None:
+    """UsageError when the source holds other objects than the bundle knows."""
+    category = network.metadata.category
+    if source.category is not None and source.category != category.name:
+        raise UsageError(f"{bundle} is for the category {category.name!r}, but {name} holds {source.category!r}")
+    names = tuple(part.name for part in category.parts)
+    if source.part_names is not None and source.part_names != names:
+        known, found = ", ".join(names), ", ".join(source.part_names)
+        raise UsageError(f"{bundle} knows the parts {known}, but {name} has {found}")
+
+
+def require_region(name: str, source: FrameSource, region: Region | None) -> None:
+    """UsageError unless `region` lies in the pictures, or the source says where objects are."""
+    if region is None:
+        if not isinstance(source, Source) or not source.has_regions:
+            raise UsageError(f"{name}: this {source.format} does not say where the object is; pass --region x,y,w,h")
+        return
+    if isinstance(source, Source):
+        for width, height in {(entry.camera.width, entry.camera.height) for entry in source.entries}:
+            _require_inside(region, width, height)
+
+
+def _require_inside(region: Region, width: int, height: int) -> None:
+    try:
+        check_region(region, width, height)
+    except ValueError as error:
+        raise UsageError(f"--region: {str(error).removeprefix('region: ')}") from error
 
 
 def available_threads() -> int:
@@ -61,26 +88,23 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _with_region(source: Source, region: Region) -> Source:
-    for width, height in {(entry.camera.width, entry.camera.height) for entry in source.entries}:
-        try:
-            check_region(region, width, height)
-        except ValueError as error:
-            raise UsageError(f"--region: {str(error).removeprefix('region: ')}") from error
-    return replace(source, entries=tuple(replace(entry, instances=(Instance(region),)) for entry in source.entries))
-
-
 Estimates = tuple[RecordedFrame, tuple[tuple[Instance, ArticulatedPose], ...]]
 
 
-def estimates(inputs: Inputs) -> Iterator[Estimates]:
-    """Every frame with the estimate of each of its objects; a frame without a region gets one that is all reasons."""
-    for recorded in inputs.source:
+def estimates(inputs: Inputs[AnySource], frames: Iterable[RecordedFrame] | None = None) -> Iterator[Estimates]:
+    """Every frame with the estimate of each of its objects; a frame without a region gets one that is all reasons.
+
+    frames: of the source, where not all are wanted.
+    """
+    for recorded in inputs.source if frames is None else frames:
         instances = recorded.instances or (Instance(None),)
+        if inputs.region is not None:
+            _require_inside(inputs.region, recorded.frame.camera.width, recorded.frame.camera.height)
+            instances = (Instance(inputs.region),)
         yield recorded, tuple((instance, _estimate(inputs, recorded, instance)) for instance in instances)
 
 
-def _estimate(inputs: Inputs, recorded: RecordedFrame, instance: Instance) -> ArticulatedPose:
+def _estimate(inputs: Inputs[AnySource], recorded: RecordedFrame, instance: Instance) -> ArticulatedPose:
     if instance.region is None:
         return not_seen(inputs.network.metadata.category, NO_REGION)
     return estimate(inputs.network, recorded.frame, instance.region, max_looks=inputs.looks)

@@ -4,36 +4,49 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from page_runtime.commands.inputs import estimates, open_inputs
+from page_runtime.commands.inputs import Inputs, estimates, load_network, require_fitting, require_region
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, text_output
+from page_runtime.commands.sources import frames_of, opened, total_of
 from page_runtime.commands.terminal import Progress
 from page_runtime.overlay import draw
+from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
 from page_runtime.schema import json_line, pose_record
 
 
 def run(
-    source: Path,
+    source: str,
     *,
     bundle: Path,
     region: Region | None,
     out: Path | None,
     overlay: Path | None,
+    frames: int,
+    window_s: float,
     threads: int,
     looks: int,
     quiet: bool,
 ) -> None:
-    """Estimate every frame of `source` and write the lines to `out` (None: standard output)."""
-    inputs = open_inputs(source, bundle, threads=threads, looks=looks, region=region)
-    require_file_place(out, option="--out")
-    require_folder_place(overlay, option="--overlay")
-    several = any(len(entry.instances) > 1 for entry in inputs.source.entries)
+    """Estimate every frame of `source`, or so many, and write the lines to `out` (None: standard output)."""
+    network, threads = load_network(bundle, threads=threads, looks=looks)
+    with opened(source, window_s=window_s) as found:
+        require_fitting(bundle, network, source, found)
+        require_region(source, found, region)
+        require_file_place(out, option="--out")
+        require_folder_place(overlay, option="--overlay")
+        _run(Inputs(network, found, threads, looks, region), out, overlay, frames, quiet=quiet)
+
+
+def _run(inputs: Inputs[FrameSource], out: Path | None, overlay: Path | None, limit: int, *, quiet: bool) -> None:
+    source = inputs.source
+    entries = source.entries if isinstance(source, Source) and inputs.region is None else ()
+    several = any(len(entry.instances) > 1 for entry in entries)
     with (
         text_output(out) as lines,
         overlay_output(overlay) as pictures,
-        Progress("run", len(inputs.source), quiet=quiet) as progress,
+        Progress("run", total_of(source, limit), quiet=quiet) as progress,
     ):
-        for recorded, found in estimates(inputs):
+        for recorded, found in estimates(inputs, frames_of(source, limit)):
             frame = recorded.frame
             for i, (_, pose) in enumerate(found):
                 number = i if several else None

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from typing import TextIO
 
 LINES_WITHOUT_TERMINAL = 10
+FRAMES_PER_LINE = 100
 
 
 class Progress:
-    """Counts frames on a stream: one line that changes on a terminal, about ten lines elsewhere."""
+    """Counts frames on a stream: one line that changes on a terminal, about ten lines elsewhere. total: 0 where nobody
+    knows it, as with a camera."""
 
     def __init__(self, label: str, total: int, *, quiet: bool, stream: TextIO | None = None) -> None:
         self.label, self.total, self.quiet = label, total, quiet
@@ -22,10 +24,10 @@ class Progress:
         """One more frame; total: of how many, when that has only now become known."""
         self.done += 1
         self.total = total or self.total
-        step = max(1, self.total // LINES_WITHOUT_TERMINAL)
+        step = max(1, self.total // LINES_WITHOUT_TERMINAL) if self.total else FRAMES_PER_LINE
         if self.quiet or not (self.live or self.done % step == 0 or self.done == self.total):
             return
-        text = f"{self.label}: frame {self.done} of {self.total}"
+        text = f"{self.label}: frame {self.done}" + (f" of {self.total}" if self.total else "")
         self.stream.write(f"\r{text}" if self.live else f"{text}\n")
         self.stream.flush()
 

@@ -23,10 +23,18 @@ UNITS = ("", "", "", "deg", "deg", "mm", "mm", "%", "", "", "%", "%", "%")
 
 
 def validate(
-    recording: Path, *, bundle: Path, json: Path | None, overlay: Path | None, threads: int, looks: int, quiet: bool
+    recording: str,
+    *,
+    bundle: Path,
+    json: Path | None,
+    overlay: Path | None,
+    window_s: float,
+    threads: int,
+    looks: int,
+    quiet: bool,
 ) -> None:
     """Estimate every object with truth; write the figures to `json` and a table to standard output."""
-    inputs = open_inputs(recording, bundle, threads=threads, looks=looks)
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, window_s=window_s, command="validate")
     if not inputs.source.has_truth:
         raise UsageError(f"{recording}: this {inputs.source.format} has no true poses to compare with")
     require_file_place(json, option="--json")
@@ -44,7 +52,7 @@ def validate(
                 pictures.add(recorded.frame.index, draw(recorded.frame, found, with_truth=True))
             progress.advance()
     document = {
-        "recording": recording.name,
+        "recording": Path(recording).name,
         "bundle": bundle.name,
         "frames": len(inputs.source),
         **figures_of(inputs.network.metadata.category, compared),

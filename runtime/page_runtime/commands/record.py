@@ -1,0 +1,46 @@
+"""page-runtime record and convert: frames of any source into a recording, an MCAP file, or another layout."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from page_runtime.capture.conversion import frame_writer, layout_of, partial_of
+from page_runtime.commands.outputs import require_file_place
+from page_runtime.commands.sources import frames_of, is_live, opened, total_of
+from page_runtime.commands.terminal import Progress
+from page_runtime.commands.usage import UsageError
+
+
+def record(source: str, *, target: Path, frames: int, window_s: float, quiet: bool) -> None:
+    """Write the frames of `source` as they come into an .mcap file or a recording's folder."""
+    _copy(source, target, None, frames, window_s, label="record", quiet=quiet)
+
+
+def convert(source: str, *, target: Path, layout: str | None, frames: int, window_s: float, quiet: bool) -> None:
+    """Write the frames of the recording `source` in another layout."""
+    if is_live(source):
+        raise UsageError(f"convert: expected a recording, got the camera {source!r}; use page-runtime record")
+    _copy(source, target, layout, frames, window_s, label="convert", quiet=quiet)
+
+
+def _copy(name: str, target: Path, layout: str | None, limit: int, window_s: float, *, label: str, quiet: bool) -> None:
+    if target.exists():
+        raise UsageError(f"{target}: exists already; nothing is ever overwritten, give another name")
+    if partial_of(target).exists() and layout_of(target, layout) == "recording":
+        raise UsageError(
+            f"{partial_of(target)}: an unfinished recording is in the way; finish it (page-runtime repair) or remove it"
+        )
+    require_file_place(target, option=label)
+    count = 0
+    with opened(name, window_s=window_s) as source:
+        with (
+            frame_writer(target, layout, category=source.category, part_names=tuple(source.part_names or ())) as writer,
+            Progress(label, total_of(source, limit), quiet=quiet) as progress,
+        ):
+            for recorded in frames_of(source, limit):
+                writer.write(recorded, calibration=source.calibration)
+                count += 1
+                progress.advance()
+        if not quiet:
+            sys.stderr.write(f"page-runtime: {count} frames in {target}\n")

@@ -1,0 +1,272 @@
+"""What was recorded is there, also when the process was killed; the commands that record, convert and repair."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import recorded_toy
+import toy
+from page_runtime.capture import oak
+from page_runtime.capture.conversion import frame_writer, partial_of
+from page_runtime.capture.mcap_file import McapFile
+from page_runtime.capture.playback import open_source
+from page_runtime.capture.repair import repair
+from page_runtime.cli import EXIT_NO_CAMERA, LAYOUTS, main
+from page_runtime.image_files import SourceError
+from page_runtime.recorded import RecordedFrame
+from page_runtime.recording import RecordingWriter
+
+TESTS = Path(__file__).parent
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path]), "OMP_NUM_THREADS": "1"}
+
+
+@pytest.fixture(scope="module")
+def recorder() -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, str(TESTS / "recording_child.py")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+    )
+    yield process
+    process.communicate()
+
+
+def record_until_killed(recorder: subprocess.Popen[str], target: Path, moment: random.Random) -> int:
+    """Frames that were said to be written before the process was killed at a random moment."""
+    assert recorder.stdin is not None
+    assert recorder.stdout is not None
+    recorder.stdin.write(f"{target}\n")
+    recorder.stdin.flush()
+    process = int(recorder.stdout.readline())
+    recorder.stdout.readline()
+    time.sleep(moment.uniform(0, 0.1))
+    os.kill(process, signal.SIGKILL)
+    return 1 + sum(1 for _ in iter(recorder.stdout.readline, "dead\n"))
+
+
+def same_frames(path: Path, *, upto: int) -> None:
+    for _, expected, recorded in zip(range(upto), recorded_toy.endless(), open_source(path), strict=False):
+        np.testing.assert_array_equal(recorded.frame.color, expected.frame.color)
+        np.testing.assert_array_equal(recorded.frame.depth_m, expected.frame.depth_m)
+        assert recorded.frame.timestamp_s == expected.frame.timestamp_s
+
+
+def test_repair_recovers_all_but_the_last_chunk_of_a_killed_mcap(
+    recorder: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    """Twenty times. A chunk of these small frames holds a second's worth: what the writer had not yet closed."""
+    moment = random.Random(0)
+    for attempt in range(20):
+        target = tmp_path / f"{attempt}.mcap"
+        said = record_until_killed(recorder, target, moment)
+        chunk = frames_a_chunk()
+        try:
+            result = repair(target)
+        except SourceError:
+            assert said <= chunk
+            continue
+        assert said - chunk <= result.frames
+        same_frames(result.path, upto=40)
+        repaired = open_source(result.path)
+        assert repaired.calibration == '{"serial": 1}'
+        assert repaired.counts.missed == {}
+
+
+def frames_a_chunk() -> int:
+    """The most frames a chunk of 1 MiB takes at this size, and the one that crosses its end."""
+    frame_bytes = 160 * 120 * 5
+    return (1 << 20) // frame_bytes + 2
+
+
+def test_repair_recovers_every_finished_frame_of_a_killed_folder(
+    recorder: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    moment = random.Random(1)
+    for attempt in range(5):
+        target = tmp_path / f"{attempt}"
+        said = record_until_killed(recorder, target, moment)
+        assert not target.exists()
+        result = repair(partial_of(target), tmp_path / f"{attempt}-repaired")
+        assert result.frames >= said
+        same_frames(result.path, upto=result.frames)
+        assert open_source(result.path).calibration == '{"serial": 1}'
+
+
+def test_a_frame_that_fills_a_chunk_is_safe_as_soon_as_it_is_written(tmp_path: Path) -> None:
+    """At a camera's usual size a chunk is one frame, so that a kill costs the frame being written and no other."""
+    recorded, _ = toy.toy_frame(toy.toy_camera(640, 480))
+    noisy = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
+    with frame_writer(tmp_path / "a.mcap") as writer:
+        for index in range(3):
+            frame = type(recorded.frame)(noisy, recorded.frame.depth_m, recorded.frame.camera, index / 30, index)
+            writer.write(RecordedFrame(frame))
+            shutil.copy(tmp_path / "a.mcap", tmp_path / f"copy{index}.mcap")
+            assert len(open_source(tmp_path / f"copy{index}.mcap")) == index + 1
+
+
+def test_an_unfinished_recording_is_neither_overwritten_nor_played_by_accident(tmp_path: Path, capsys) -> None:
+    (tmp_path / ".r.partial").mkdir()
+    (tmp_path / ".r.partial" / "journal.jsonl").touch()
+    assert main(["record", str(TESTS / "data/box"), str(tmp_path / "r")]) == 2
+    assert "page-runtime repair" in capsys.readouterr().err
+    assert main(["repair", str(tmp_path / ".r.partial")]) == 2
+    assert "nothing to recover" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_convert_writes_every_layout_and_record_the_crash_safe_ones(layout: str, tmp_path: Path, capsys) -> None:
+    target = tmp_path / ("out.mcap" if layout == "mcap" else "out")
+    source = recorded_toy.writer_of("recording", "source")(tmp_path, recorded_toy.frames(4))
+    assert main(["convert", str(source), str(target), "--layout", layout, "--frames", "3", "--quiet"]) == 0
+    assert len(open_source(target)) == 3
+    assert main(["convert", str(source), str(target), "--layout", layout]) == 2
+    assert "exists already" in capsys.readouterr().err
+    if layout in ("mcap", "recording"):
+        again = tmp_path / ("again.mcap" if layout == "mcap" else "again")
+        assert main(["record", str(target), str(again)]) == 0
+        assert "3 frames in" in capsys.readouterr().err
+        assert open_source(again).category == "box"
+        same_frames(again, upto=3)
+
+
+def test_run_plays_an_mcap_and_says_what_a_damaged_one_has_lost(tmp_path: Path, oracle_bundle: Path, capsys) -> None:
+    path = recorded_toy.writer_of("mcap", "a.mcap")(tmp_path, recorded_toy.frames(30))
+    data = path.read_bytes()
+    assert main(["run", str(path), "--bundle", str(oracle_bundle), "--frames", "2", "--quiet", "--looks", "1"]) == 0
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["frame"] for line in out.splitlines()] == [0, 1]
+    assert err == ""
+    path.write_bytes(data[: len(data) * 2 // 3])
+    assert main(["run", str(path), "--bundle", str(oracle_bundle), "--quiet", "--looks", "1"]) == 0
+    out, err = capsys.readouterr()
+    assert 0 < len(out.splitlines()) < 30
+    assert re.search(r"left out: \d+ bytes of the file that cannot be read", err)
+    assert main(["repair", str(path)]) == 0
+    assert re.search(r"a\.repaired\.mcap: \d+ frames; lost: \d+ bytes", capsys.readouterr().out)
+    assert McapFile(tmp_path / "a.repaired.mcap").missed == {}
+
+
+@pytest.mark.parametrize("arguments", [["bench", "oak"], ["validate", "oak"], ["convert", "oak", "out.mcap"]])
+def test_commands_that_need_a_recording_refuse_a_camera(arguments: list[str], oracle_bundle: Path, capsys) -> None:
+    bundle = [] if arguments[0] == "convert" else ["--bundle", str(oracle_bundle)]
+    assert main([*arguments, *bundle]) == 2
+    assert "expected a recording, got the camera 'oak'" in capsys.readouterr().err
+
+
+def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded_toy.writer_of("recording", "oak")(tmp_path, recorded_toy.frames(2))
+    monkeypatch.chdir(tmp_path)
+    assert main(["convert", "./oak", "out.mcap", "--quiet"]) == 0
+    assert len(open_source(tmp_path / "out.mcap")) == 2
+
+
+def test_nonsense_windows_and_counts_are_refused(tmp_path: Path, capsys) -> None:
+    for option in (["--window-ms", "-3"], ["--window-ms", "x"], ["--frames", "-1"]):
+        assert main(["record", str(tmp_path), str(tmp_path / "out"), *option]) == 2
+        assert "expected" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(importlib.util.find_spec("depthai") is None, reason="depthai is not installed")
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+@pytest.mark.parametrize("command", ["devices", "run"])
+def test_without_a_camera_the_exit_code_is_3_and_no_connection_is_tried(
+    command: str, oracle_bundle: Path, tmp_path: Path
+) -> None:
+    trace = tmp_path / "trace"
+    options = (
+        ["devices"] if command == "devices" else ["run", "oak", "--region", "1,1,9,9", "--bundle", str(oracle_bundle)]
+    )
+    answer = subprocess.run(
+        ["strace", "-f", "-qq", "-e", "trace=network", "-o", trace, sys.executable, "-m", "page_runtime", *options],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        timeout=60,
+    )
+    assert answer.returncode == EXIT_NO_CAMERA
+    assert answer.stderr.count("\n") == 1
+    assert "no OAK camera found; is it plugged into a USB 3 port" in answer.stderr
+    calls = trace.read_text().splitlines()
+    assert not [call for call in calls if "connect(" in call and "AF_INET" in call]
+    # The search for cameras in the local network is a broadcast to Luxonis' port; nothing else is sent.
+    sent = [call for call in calls if re.search(r"send(to|msg)\(", call) and "AF_INET" in call]
+    assert all("htons(11491)" in call and '.255")' in call for call in sent)
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+def test_playing_recording_and_estimating_open_no_socket(tmp_path: Path, oracle_bundle: Path) -> None:
+    trace = tmp_path / "trace"
+    path = recorded_toy.writer_of("mcap", "a.mcap")(tmp_path, recorded_toy.frames(2))
+    code = (
+        "import sys; from page_runtime.cli import main\n"
+        f"assert main(['record', {str(path)!r}, {str(tmp_path / 'r')!r}, '--quiet']) == 0\n"
+        f"assert main(['run', {str(tmp_path / 'r')!r}, '--bundle', {str(oracle_bundle)!r}, '--quiet']) == 0\n"
+    )
+    subprocess.run(
+        ["strace", "-f", "-qq", "-e", "trace=socket,connect,sendto", "-o", trace, sys.executable, "-c", code],
+        capture_output=True,
+        check=True,
+        env=ENVIRONMENT,
+        timeout=60,
+    )
+    assert not [call for call in trace.read_text().splitlines() if "AF_INET" in call]
+
+
+def test_ctrl_c_and_sigterm_end_a_recording_of_a_camera_with_all_its_frames(tmp_path: Path) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        target = tmp_path / f"{number}.mcap"
+        code = (
+            "import sys; from functools import partial; import live_sources\n"
+            "from page_runtime.cli import main\n"
+            "from page_runtime.capture import oak, supervision\n"
+            "import page_runtime.commands.sources as sources\n"
+            "sources.open_oak = lambda name, window_s, on_event: supervision.SupervisedSource(\n"
+            "    live_sources.count_up, name=name, on_event=on_event)\n"
+            f"sys.exit(main(['record', 'oak', {str(target)!r}]))\n"
+        )
+        process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, env=ENVIRONMENT, text=True)
+        assert process.stderr is not None
+        while "frames arrive" not in process.stderr.readline():
+            assert process.poll() is None
+        time.sleep(0.4)
+        began_s = time.monotonic()
+        process.send_signal(number)
+        rest = process.stderr.read()
+        assert process.wait() == 0, rest
+        assert time.monotonic() - began_s < 2
+        said = re.search(r"(\d+) frames in", rest)
+        assert said is not None
+        source = open_source(target)
+        assert len(source) == int(said[1]) > 5
+        assert source.counts.missed == {}
+
+
+def test_oak_is_the_only_word_for_a_camera() -> None:
+    assert [name for name in ("oak", "oak:1", "./oak", "oak/", "oaks", "Oak") if oak.is_oak(name)] == ["oak", "oak:1"]
+
+
+def test_the_recording_writer_still_leaves_nothing_when_it_fails(tmp_path: Path) -> None:
+    def fail() -> None:
+        with RecordingWriter(tmp_path / "r", category=None, part_names=()) as writer:
+            writer.write(recorded_toy.frames(1)[0].__class__(recorded_toy.frames(1)[0].frame))
+            raise RuntimeError("the reason")
+
+    with pytest.raises(RuntimeError, match="the reason"):
+        fail()
+    assert list(tmp_path.iterdir()) == []
