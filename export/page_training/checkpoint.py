@@ -72,7 +72,7 @@ def trained_category(state: dict[str, Any]) -> Category:
     category = category_from(_trained_for(state))
     if category.name in known_categories():
         return replace(category, joints=category_named(category.name).joints)
-    return replace(category, joints=category_from(with_symmetries(json.loads(state["category"]))).joints)
+    return replace(category, joints=category_from(json.loads(state["category"])).joints)
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:
