@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from page_runtime.camera import Camera
-from page_runtime.geometry import Array
+from page_runtime.geometry import Array, rotation_about
 
 DistortionModel = Literal["none", "brown-conrady", "kannala-brandt"]
 COUNTS: dict[DistortionModel, tuple[int, ...]] = {
@@ -25,6 +24,7 @@ COUNTS: dict[DistortionModel, tuple[int, ...]] = {
 # OpenCV's own inversions are fixed-point iterations, which leave the corners of factory-calibrated wide lenses out.
 _NEWTON_STEPS = 30
 _STEP = 1e-6
+_EXACT = 1e-13
 # What is left after Newton, on the plane z = 1: a thousandth of a pixel at f = 10,000.
 _FOUND = 1e-7
 
@@ -60,18 +60,34 @@ class Distortion:
 
     def distorted(self, points: Array) -> Array:
         """Where the lens images points (..., 2) of the plane z = 1, on the same plane."""
-        flat = np.asarray(points, dtype=float).reshape(-1, 1, 2)
-        if self.is_none or not len(flat):
-            moved = flat
-        elif self.model == "kannala-brandt":
-            radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+        points = np.asarray(points, dtype=float)
+        if self.is_none:
+            return points
+        x, y = points[..., 0], points[..., 1]
+        if self.model == "kannala-brandt":
+            radius = np.hypot(x, y)
             theta = np.arctan(radius)
             with np.errstate(divide="ignore", invalid="ignore"):
-                moved = flat * np.where(radius > 0, theta * polyval(theta**2, self._powers) / radius, 1.0)
-        else:
-            rays = np.concatenate([flat[:, 0], np.ones((len(flat), 1))], axis=1)
-            moved, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), self.coefficients)
-        return np.asarray(moved, dtype=float).reshape(np.shape(points))
+                scale = np.where(radius > 0, theta * polyval(theta**2, self._powers) / radius, 1.0)
+            return points * scale[..., None]
+        return self._brown_conrady(x, y)
+
+    def _brown_conrady(self, x: Array, y: Array) -> Array:
+        """OpenCV, camera calibration and 3D reconstruction, detailed description."""
+        c = self.coefficients
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = (*c, *np.zeros(14 - len(c)))
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        if k4 or k5 or k6:
+            radial = radial / (1.0 + square * (k4 + square * (k5 + square * k6)))
+        xy = 2.0 * x * y
+        u = x * radial + p1 * xy + p2 * (square + 2.0 * x * x)
+        v = y * radial + p2 * xy + p1 * (square + 2.0 * y * y)
+        if s1 or s2 or s3 or s4:
+            u, v = u + square * (s1 + square * s2), v + square * (s3 + square * s4)
+        if tau_x or tau_y:
+            u, v = _tilted(u, v, tau_x, tau_y)
+        return np.stack([u, v], axis=-1)
 
     def undistorted(self, points: Array) -> Array:
         """The inverse of `distorted`, NaN where it has none: beyond 90 degrees, or where the model folds."""
@@ -91,15 +107,16 @@ class Distortion:
         found = wanted.copy()
         residual = self.distorted(found) - wanted
         for _ in range(_NEWTON_STEPS):
-            step, _ = self._step(found, residual)
-            proposed = found - step
-            moved = self.distorted(proposed) - wanted
-            worse = ~(np.linalg.norm(moved, axis=1) <= np.linalg.norm(residual, axis=1))
-            proposed[worse] = found[worse] - 0.25 * step[worse]
-            moved[worse] = self.distorted(proposed[worse]) - wanted[worse]
-            found, residual = proposed, moved
-            if np.abs(residual).max() < 1e-15:
+            left = np.flatnonzero(np.abs(residual).max(axis=1) > _EXACT)
+            if not len(left):
                 break
+            step, _ = self._step(found[left], residual[left])
+            proposed = found[left] - step
+            moved = self.distorted(proposed) - wanted[left]
+            worse = ~(np.linalg.norm(moved, axis=1) <= np.linalg.norm(residual[left], axis=1))
+            proposed[worse] = found[left][worse] - 0.25 * step[worse]
+            moved[worse] = self.distorted(proposed[worse]) - wanted[left][worse]
+            found[left], residual[left] = proposed, moved
         _, is_upright = self._step(found, residual)
         lost = ~(np.abs(residual).max(axis=1) < _FOUND) | ~is_upright
         found[lost] = np.nan
@@ -130,6 +147,14 @@ class Distortion:
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(radius > 0, np.tan(theta) / radius, 1.0)
         return np.where(ok[:, None], wanted * scale[:, None], np.nan)
+
+
+def _tilted(u: Array, v: Array, tau_x: float, tau_y: float) -> tuple[Array, Array]:
+    """Points of the plane z = 1 on a sensor turned by tau_x and tau_y (Scheimpflug), radians."""
+    R = rotation_about(np.array([0.0, 1.0, 0.0]), -tau_y) @ rotation_about(np.array([1.0, 0.0, 0.0]), -tau_x)
+    onto = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
+    tilted = np.stack([u, v, np.ones_like(u)], axis=-1) @ onto.T
+    return tilted[..., 0] / tilted[..., 2], tilted[..., 1] / tilted[..., 2]
 
 
 NO_DISTORTION = Distortion()
