@@ -45,6 +45,11 @@ class HandEye:
     scatter_rad: Array
     deviations: Array
 
+    @property
+    def scatter_rms_m(self) -> float:
+        """Rms of the target's scatter along one axis."""
+        return float(np.sqrt((self.scatter_m**2).mean() / 3.0))
+
 
 def solve_hand_eye(T_base_hand: Sequence[Array], T_camera_target: Sequence[Array], *, mount: Mount) -> HandEye:
     """The camera's place from poses of the robot and of the target at the same moments, in the same order.

@@ -79,8 +79,8 @@ def calibrate_intrinsics(
 
 def _fitted(views: Sequence[View], size: tuple[int, int], lens: LensKind) -> tuple[RawCamera, tuple[Array, ...]]:
     model, count = LENSES[lens]
-    boards = [view.points_board.astype(np.float32)[:, None] for view in views]
-    pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
+    boards = [view.points_board.astype(np.float32)[None] for view in views]
+    pixels = [view.pixels.astype(np.float32)[None] for view in views]
     K, D = np.eye(3), np.zeros((count, 1))
     try:
         if model == "kannala-brandt":

@@ -18,8 +18,8 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors as main() does: one sentence, without the usage text before it."""
+class Parser(argparse.ArgumentParser):
+    """Reports errors as a sentence, without the usage text before it."""
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message}; see {self.prog} --help")
@@ -78,7 +78,7 @@ def _prepare() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
+    parser = Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
     def command(name: str, description: str, given: str, meaning: str) -> argparse.ArgumentParser:
