@@ -71,17 +71,14 @@ def check_pair(depth: RawCamera, color: RawCamera, pictures: Sequence[Picture]) 
         return Finding("unit", implausible)
     distances = [color_edge_distance(image) for image, _ in pictures]
     ranked: list[tuple[float, Suspect]] = []
-    count, chance = 0, 0.0
-    outlines: dict[int, list[Array]] = {}
+    chance = 0.0
+    outlines = [depth_outlines(depth_m) for _, depth_m in pictures]
+    count = sum(map(len, outlines))
+    if count < MIN_OUTLINES:
+        return Finding(None, too_few(count), outlines=count)
     for suspect in suspects(depth, color):
-        own = outlines.setdefault(
-            id(suspect.depth), [depth_outlines(suspect.depth, reading) for _, reading in pictures]
-        )
-        projected = [_project(suspect, points) for points in own]
+        projected = [_project(suspect, one.points(suspect.depth)) for one in outlines]
         if suspect.fault == "none":
-            count = sum(len(points) for points in own)
-            if count < MIN_OUTLINES:
-                return Finding(None, too_few(count), outlines=count)
             chance = mean_agreement(distances, projected, _CHANCE_SHIFTS)
         ranked.append((mean_agreement(distances, projected) - chance, suspect))
     return _judged(ranked, count)
@@ -110,6 +107,14 @@ def mean_agreement(
         for d, p in zip(distances, projected, strict=True)
         for shift in shifts
     ]))  # fmt: skip
+
+
+def is_clear(gain: float, signal: float, count: int) -> bool:
+    """Whether `gain` in agreement of `count` outline points is a large part of the signal and no accident of few of them.
+
+    Neighbouring points are on one edge: about one in ten tells something of its own.
+    """
+    return gain >= MIN_GAIN * signal and gain >= 4.0 * 0.35 / np.sqrt(count / 10.0)
 
 
 class Ranked(Protocol):
@@ -143,7 +148,7 @@ def _judged(ranked: list[tuple[float, Suspect]], count: int) -> Finding:
         )
         return Finding(None, words, shown, best, count)
     is_near = best.fault == "focal" and abs(best.focal - 1.0) < FOCAL_FREE
-    if best.fault == "none" or is_near or best_score - given < MIN_GAIN * best_score:
+    if best.fault == "none" or is_near or not is_clear(best_score - given, best_score, count):
         words = f"outlines in depth lie on edges in colour: the calibration fits; {focal_range(ranked)}"
         return Finding("none", words, shown, ranked[0][1], count)
     share = max(given / best_score, 0.0)

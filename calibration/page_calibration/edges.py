@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,19 +23,35 @@ CANNY_QUANTILES = (0.85, 0.95)
 FAR_PX = 12.0
 
 
-def depth_outlines(raw: RawCamera, depth_m: NDArray[np.float32]) -> Array:
-    """points (n,3), metres, depth camera's frame: half a pixel outside the near side of each jump, at its depth.
+@dataclass(frozen=True, eq=False, slots=True)
+class Outlines:
+    """pixels: (n,2) of the depth picture. depth_m: (n,)."""
+
+    pixels: Array
+    depth_m: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.depth_m)
+
+    def points(self, raw: RawCamera) -> Array:
+        """(n,3), metres, frame of the depth camera `raw`; those its lens has no ray for are left out."""
+        points = raw.backproject(self.pixels, self.depth_m)
+        return points[~np.isnan(points).any(axis=1)]
+
+
+def depth_outlines(depth_m: NDArray[np.float32]) -> Outlines:
+    """Half a pixel outside the near side of each jump, at its depth.
 
     Depth cameras have no reading beside outlines; a jump may reach across a gap.
     """
-    found = []
+    pixels, depths = [], []
     for turned in (False, True):
-        picture = depth_m.T if turned else depth_m
-        for pixels, near in _jumps(picture):
-            found.append(raw.backproject(pixels[:, ::-1] if turned else pixels, near))
-    points = np.concatenate(found)
-    points = points[~np.isnan(points).any(axis=1)]
-    return points[:: max(1, -(-len(points) // MAX_POINTS))]
+        for places, near in _jumps(depth_m.T if turned else depth_m):
+            pixels.append(places[:, ::-1] if turned else places)
+            depths.append(near)
+    found = Outlines(np.concatenate(pixels), np.concatenate(depths))
+    some = slice(None, None, max(1, -(-len(found) // MAX_POINTS)))
+    return Outlines(found.pixels[some], found.depth_m[some])
 
 
 def _jumps(depth_m: NDArray[np.float32]) -> Iterator[tuple[Array, NDArray[np.float32]]]:

@@ -18,6 +18,7 @@ from page_calibration.check import (
     Finding,
     depth_is_plausible,
     focal_range,
+    is_clear,
     mean_agreement,
     too_few,
 )
@@ -64,7 +65,7 @@ def check_frames(frames: Sequence[RgbdFrame]) -> Finding:
 def _registration(frames: Sequence[RgbdFrame]) -> Finding:
     distances = [color_edge_distance(frame.color) for frame in frames]
     raws = [RawCamera(replace(frame.camera, T_camera_world=np.eye(4))) for frame in frames]
-    outlines = [raw.project(depth_outlines(raw, frame.depth_m)) for raw, frame in zip(raws, frames, strict=True)]
+    outlines = [raw.project(depth_outlines(frame.depth_m).points(raw)) for raw, frame in zip(raws, frames, strict=True)]
     count = sum(len(one) for one in outlines)
     if count < MIN_OUTLINES:
         return Finding(None, too_few(count), outlines=count)
@@ -76,13 +77,13 @@ def _registration(frames: Sequence[RgbdFrame]) -> Finding:
         return Finding(None, "outlines in depth lie on no edges in colour, wherever they are moved", outlines=count)
     given = (scores[0.0, 0.0] - chance) / signal
     shown = (("as given", given), (f"moved by {best[0]:g}, {best[1]:g} px", 1.0))
-    if np.hypot(*best) > MAX_SHIFT_PX and given < 1.0 - MIN_GAIN:
+    if np.hypot(*best) > MAX_SHIFT_PX and is_clear(scores[best] - scores[0.0, 0.0], signal, count):
         words = (
             f"depth is not registered to colour: its outlines lie on the edges when moved by ({best[0]:g}, {best[1]:g}) px; "
             "register with the rig's calibration (page-calibrate register)"
         )
         return Finding("extrinsics", words, shown, outlines=count)
-    return Finding("none", "depth is registered to colour", shown, outlines=count)
+    return Finding("none", f"depth is registered to colour, by {count} outline points", shown, outlines=count)
 
 
 def _moved_pairs(frames: Sequence[RgbdFrame]) -> Iterator[tuple[int, int]]:

@@ -70,13 +70,13 @@ def _raw(recording: RawRecording) -> tuple[Finding, list[str]]:
 
 def _drawn(picture: Picture, suspect: Suspect, caption: str) -> str:
     color, depth_m = picture
-    points = apply(invert(suspect.depth.camera.T_camera_world), depth_outlines(suspect.depth, depth_m))
+    points = apply(invert(suspect.depth.camera.T_camera_world), depth_outlines(depth_m).points(suspect.depth))
     return image(_dotted(color, suspect.color.project(points)), caption=caption)
 
 
 def _drawn_frame(frame: RgbdFrame) -> str:
     raw = RawCamera(replace(frame.camera, T_camera_world=np.eye(4)))
-    points = raw.project(depth_outlines(raw, frame.depth_m))
+    points = raw.project(depth_outlines(frame.depth_m).points(raw))
     return image(_dotted(frame.color, points), caption="Outlines in depth, on the colour picture.")
 
 
