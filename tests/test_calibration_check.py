@@ -68,7 +68,7 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_the_mistake_in_a_rigs_calibration_is_named(name: str) -> None:
     depth, color, fault, words = CASES[name]
-    finding = check_pair(depth, color, pictures())
+    finding = check_pair(depth, color, pictures()[:1])
     assert finding.fault == fault, finding.words
     assert words in finding.words
 

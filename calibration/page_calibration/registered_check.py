@@ -30,7 +30,8 @@ from page_runtime.lens import RawCamera
 
 # Registration that is off by this much is another registration than the pictures'.
 MAX_SHIFT_PX = 2.5
-_SHIFTS = tuple((float(dx), float(dy)) for dx in range(-12, 13) for dy in range(-8, 9))
+_SHIFTS = tuple((float(dx), float(dy)) for dx in range(-12, 13, 2) for dy in range(-8, 9, 2))
+_FINER = tuple((float(dx), float(dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1))
 # Frames from places farther apart than this, or turned by more, are different views.
 MIN_MOTION_M, MIN_TURN_DEG = 0.03, 3.0
 # Depth agrees to its own noise; 1 % is what a stereo camera has at 2 m.
@@ -71,6 +72,10 @@ def _registration(frames: Sequence[RgbdFrame]) -> Finding:
         return Finding(None, too_few(count), outlines=count)
     scores = {shift: mean_agreement(distances, outlines, (shift,)) for shift in _SHIFTS}
     chance = float(np.median(list(scores.values())))
+    coarse = max(scores, key=lambda shift: scores[shift])
+    for dx, dy in _FINER:
+        shift = (coarse[0] + dx, coarse[1] + dy)
+        scores[shift] = mean_agreement(distances, outlines, (shift,))
     best = max(scores, key=lambda shift: scores[shift])
     signal = scores[best] - chance
     if signal < MIN_SIGNAL:
