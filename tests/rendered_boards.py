@@ -42,15 +42,26 @@ def render_board(
     # A pixel's centre is at integers, a texel's too: the board's edge is half a texel before the first.
     texel = np.where((distance > 0)[..., None], hit / board.square_m * PIXELS_PER_SQUARE - 0.5, -1e4)
     picture = cv2.remap(
-        texture(board), texel.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(210,)
+        texture(board),
+        texel.astype(np.float32),
+        None,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(210,),
     )
-    inside = ((texel > -0.5) & (texel < [board.columns * PIXELS_PER_SQUARE, board.rows * PIXELS_PER_SQUARE])).all(axis=-1)
-    margin = ((hit > -board.square_m) & (hit < board.square_m * (np.array([board.columns, board.rows]) + 1))).all(axis=-1)
+    inside = ((texel > -0.5) & (texel < [board.columns * PIXELS_PER_SQUARE, board.rows * PIXELS_PER_SQUARE])).all(
+        axis=-1
+    )
+    margin = ((hit > -board.square_m) & (hit < board.square_m * (np.array([board.columns, board.rows]) + 1))).all(
+        axis=-1
+    )
     picture = np.where(inside, picture, np.where(margin, 235, 90)).astype(np.float32)
     picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     picture = cv2.GaussianBlur(picture, (0, 0), blur_px) if blur_px else picture
     angle = rng.uniform(0, 2 * np.pi)
-    ramp = np.add.outer(np.linspace(-1, 1, camera.height) * np.sin(angle), np.linspace(-1, 1, camera.width) * np.cos(angle))
+    ramp = np.add.outer(
+        np.linspace(-1, 1, camera.height) * np.sin(angle), np.linspace(-1, 1, camera.width) * np.cos(angle)
+    )
     picture = 20 + picture * 0.8 * (1.0 - light * (ramp + np.sqrt(2)) / (2 * np.sqrt(2)))
     picture += rng.normal(0.0, noise, picture.shape)
     return np.clip(picture, 0, 255).astype(np.uint8)
@@ -60,7 +71,12 @@ _RAYS: dict[tuple[int, ...], Array] = {}
 
 
 def _rays(raw: RawCamera, columns: Array, rows: Array) -> Array:
-    key = (hash(raw.camera.K.tobytes()), hash(raw.distortion.coefficients.tobytes()), raw.camera.width, raw.camera.height)
+    key = (
+        hash(raw.camera.K.tobytes()),
+        hash(raw.distortion.coefficients.tobytes()),
+        raw.camera.width,
+        raw.camera.height,
+    )
     if key not in _RAYS:
         _RAYS[key] = raw.rays(np.stack([columns, rows], axis=-1).astype(float))
     return _RAYS[key]

@@ -32,7 +32,9 @@ def random_room(rng: np.random.Generator, boxes: int = 14) -> list[tuple[Array, 
     return room
 
 
-def look(room: list[tuple[Array, Array, Array]], raw: RawCamera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def look(
+    room: list[tuple[Array, Array, Array]], raw: RawCamera, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """(color (H,W,3) uint8, depth_m (H,W) float32) as `raw` sees the room; a soft pattern is on everything."""
     height, width = raw.camera.height, raw.camera.width
     rows, columns = np.mgrid[:height, :width]

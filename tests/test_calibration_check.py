@@ -96,7 +96,9 @@ def walk() -> tuple[RgbdFrame, ...]:
     room = [(T_world_room @ T, half, sides) for T, half, sides in random_room(rng)]
     frames = []
     for angle in (-0.12, 0.0, 0.13):
-        T = transform_from(rotation_about(np.array([0.3, 1.0, 0.1]), angle), rng.uniform(-0.15, 0.15, 3)) @ invert(T_world_room)
+        T = transform_from(rotation_about(np.array([0.3, 1.0, 0.1]), angle), rng.uniform(-0.15, 0.15, 3)) @ invert(
+            T_world_room
+        )
         camera = Camera(COLOR.camera.K, 640, 400, T)
         frames.append(RgbdFrame(*look(room, RawCamera(camera), rng), camera))
     return tuple(frames)

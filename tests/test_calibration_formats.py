@@ -14,6 +14,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from figures_shown import report
 from page_calibration.calibration import CalibratedCamera, Calibration, CalibrationError, Deviations, Provenance
 from page_calibration.formats.registry import NAMES, read_calibration, same_lens, written
 from page_runtime.camera import Camera
@@ -24,7 +25,9 @@ K = np.array([[612.25, 0.0, 318.4], [0.0, 611.875, 241.7], [0.0, 0.0, 1.0]])
 SMALL = ("none", ()), ("brown-conrady", (0.11, -0.23, 0.0007, -0.0004)), ("kannala-brandt", (0.01, 0.02, -0.01, 0.002))
 
 
-def camera(frame: str = "color", world: str | None = None, T: np.ndarray | None = None, **changes: Any) -> CalibratedCamera:
+def camera(
+    frame: str = "color", world: str | None = None, T: np.ndarray | None = None, **changes: Any
+) -> CalibratedCamera:
     lens = Distortion(*changes.pop("lens", SMALL[1]))
     raw = RawCamera(Camera(changes.pop("K", K), 640, 480, np.eye(4) if T is None else T), lens)
     return CalibratedCamera(frame, world or frame, raw, **changes)
@@ -92,8 +95,6 @@ def test_real_eeproms_agree_with_depthai_or_are_refused_as_it_refuses_them(share
             expected = theirs.getDistortionCoefficients(sockets[a.frame])
             np.testing.assert_allclose(a.raw.distortion.coefficients, expected[: len(a.raw.distortion.coefficients)])
             for size in ((640, 400), (640, 480), (1280, 720), (1920, 1080), (300, 300), (416, 416), (512, 288)):
-                scale = max(size[0] / a.camera.width, size[1] / a.camera.height)
-                half_pixel = (scale - 1.0) / 2.0  # depthai scales pixel corners, not centres
                 # depthai assumes bars where a wider picture is wanted at 4:3 or narrower, and else a cut.
                 has_bars = 3 * size[0] <= 4 * size[1] and 3 * a.camera.width > 4 * a.camera.height
                 K_ours = (a.raw.letterboxed(*size) if has_bars else a.raw.covering(*size)).camera.K
@@ -106,8 +107,8 @@ def test_real_eeproms_agree_with_depthai_or_are_refused_as_it_refuses_them(share
                     wrong_crops += 1
         assert worst < 1e-5, path
         rows.append((path.name, f"{len(ours)} cameras, extrinsics within {worst:.1e}"))
-    print("\n" + "\n".join(f"{name:115s} {text}" for name, text in rows))
-    print(f"{compared} intrinsics compared, {wrong_crops} times depthai crops the wrong axis")
+    report("\n".join(f"{name:115s} {text}" for name, text in rows))
+    report(f"{compared} intrinsics compared, {wrong_crops} times depthai crops the wrong axis")
     assert sum("refused" not in text for _, text in rows) == 15
     assert 0 < wrong_crops < compared / 50
 
@@ -206,7 +207,7 @@ def test_every_shared_calibration_file_is_read_or_refused_for_what_it_is(shared_
         else:
             found = read_calibration(path)
             rows.append((path.name, f"{found.provenance.format}: {', '.join(found.frames)}"))
-    print("\n" + "\n".join(f"{name:40s} {text}" for name, text in rows))
+    report("\n".join(f"{name:40s} {text}" for name, text in rows))
     assert len(rows) == 14 + len(refused)
 
 
@@ -214,7 +215,9 @@ def test_a_calibration_that_differs_from_the_boards_drawing_is_warned_of(shared_
     name = "oak-examples__depth-test_z-acc_spatial-noise__calib_18443010F116631200"
     found = read_calibration(shared_data / "oak_calib" / f"{name}.json")
     assert any("CAM_B is 8.45 cm from CAM_C" in w and "12.6 %" in w for w in found.provenance.warnings)
-    assert not any("drawing" in w for w in read_calibration(shared_data / "oak_calib" / f"{name}.old.json").provenance.warnings)
+    assert not any(
+        "drawing" in w for w in read_calibration(shared_data / "oak_calib" / f"{name}.old.json").provenance.warnings
+    )
 
 
 # --- there and back ------------------------------------------------------------------------------------------------
@@ -233,14 +236,18 @@ def assert_same(before: Calibration, after: Calibration, *, names: bool = True) 
             assert (a.frame, a.world_frame) == (b.frame, b.world_frame)
 
 
-def drawn(rng: np.random.Generator, frame: str, world: str, T: np.ndarray, lens: str, **changes: Any) -> CalibratedCamera:
+def drawn(
+    rng: np.random.Generator, frame: str, world: str, T: np.ndarray, lens: str, **changes: Any
+) -> CalibratedCamera:
     counts = {"none": 0, "radtan": 4, "plumb-bob": 5, "rational": 8, "tilted": 14, "fisheye": 4}
     model = {"none": "none", "fisheye": "kannala-brandt"}.get(lens, "brown-conrady")
     coefficients = rng.uniform(-0.004, 0.004, counts[lens])
     width, height = (int(v) for v in rng.integers(200, 2000, 2))
     f = rng.uniform(0.7, 1.5) * max(width, height)
     K = np.array([[f, 0, width * rng.uniform(0.45, 0.55)], [0, f * 1.01, height * rng.uniform(0.45, 0.55)], [0, 0, 1]])
-    return CalibratedCamera(frame, world, RawCamera(Camera(K, width, height, T), Distortion(model, coefficients)), **changes)
+    return CalibratedCamera(
+        frame, world, RawCamera(Camera(K, width, height, T), Distortion(model, coefficients)), **changes
+    )
 
 
 def random_place(rng: np.random.Generator) -> np.ndarray:
@@ -267,12 +274,15 @@ HOLDS = {
 @pytest.mark.parametrize("name", NAMES)
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
-def test_what_a_format_can_hold_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, name: str, seed: int) -> None:
+def test_what_a_format_can_hold_comes_back_as_it_was(
+    tmp_path_factory: pytest.TempPathFactory, name: str, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     lenses, has_place, has_unit = HOLDS[name]
     frame = {"oak": "CAM_A", "kalibr": "cam0", "bop-scene": "0"}.get(name, "camera")
     one = drawn(
-        rng, frame, "world" if has_place else frame, random_place(rng) if has_place else np.eye(4), str(rng.choice(lenses)),
+        rng, frame, "world" if has_place else frame, random_place(rng) if has_place else np.eye(4),
+        str(rng.choice(lenses)),
         depth_unit_m=float(rng.choice([1e-3, 1e-4, 2e-4])) if has_unit else None,
     )  # fmt: skip
     before = calibration(one)
@@ -399,7 +409,7 @@ BLURRED = json.loads(written(calibration(camera(lens=SMALL[0])), "ros-json").tex
         ("a.json", page(K=K.T.tolist()), "stored transposed"),
         ("a.json", page(K=np.eye(3).tolist()), "K is the identity"),
         ("a.json", page(K=np.diag([3.04, 3.04, 1.0]).tolist()), "expected pixels, not mm"),
-        ("a.json", page(K=(K * [[1], [1.6], [1]] - [[0, 0, 0], [0, 0, 145], [0, 0, 0]]).tolist()), "differ by more than half"),
+        ("a.json", page(K=(K * [[1], [1.6], [1]] - [[0, 0, 0], [0, 0, 145], [0, 0, 0]]).tolist()), "more than half"),
         ("a.json", page(size_px=[0, 480]), "positive size"),
         ("a.json", page(distortion={"model": "brown-conrady", "coefficients": [0.1, 0.2]}), "4 or 5 or 8"),
         ("a.json", page(distortion={"model": "brown-conrady", "coefficients": [-5.0, 0, 0, 0]}), "no ray for"),
@@ -414,7 +424,7 @@ BLURRED = json.loads(written(calibration(camera(lens=SMALL[0])), "ros-json").tex
         ("a.yaml", kalibr_pair(STRETCHED), "cam1, T_cn_cnm1: expected a rotation"),
         ("a.yaml", kalibr_pair(placed()).replace("pinhole", "omni"), "only pinhole cameras have a K"),
         ("a.yaml", kalibr_pair(placed()).replace("radtan", "fov"), "none of radtan, equidistant"),
-        ("a.json", eeprom(extrinsics=extrinsics(placed(), 1.0)), "the EEPROM holds centimetres, these are probably metres"),
+        ("a.json", eeprom(extrinsics=extrinsics(placed(), 1.0)), "holds centimetres, these are probably metres"),
         ("a.json", eeprom(extrinsics=extrinsics(placed() @ placed(), 1e4)), "probably millimetres"),
         ("a.json", eeprom(extrinsics=extrinsics(MIRRORED)), "CAM_B, extrinsics: expected a rotation"),
         ("a.json", eeprom(extrinsics=extrinsics(placed(), to=5)), "leads to CAM_F, which has no camera"),
@@ -450,7 +460,9 @@ def test_a_missing_file_is_an_error_and_never_an_identity(tmp_path: Path) -> Non
 
 
 def test_another_size_than_the_file_says_is_refused(tmp_path: Path) -> None:
-    path = write_as(tmp_path, "a.json", json.dumps({"width": 640, "height": 480, "intrinsic_matrix": K.T.ravel().tolist()}))
+    path = write_as(
+        tmp_path, "a.json", json.dumps({"width": 640, "height": 480, "intrinsic_matrix": K.T.ravel().tolist()})
+    )
     with pytest.raises(CalibrationError, match="it is for 640x480, but --size says 1280x720"):
         read_calibration(path, size=(1280, 720))
 

@@ -129,7 +129,9 @@ def test_no_reading_stays_no_reading() -> None:
 
 
 @pytest.mark.parametrize("spot", [(60, 60), (560, 80), (330, 200), (520, 330), (90, 340)])
-def test_a_spot_goes_from_raw_pixels_through_registration_crop_and_resize_to_its_3d_point(spot: tuple[int, int]) -> None:
+def test_a_spot_goes_from_raw_pixels_through_registration_crop_and_resize_to_its_3d_point(
+    spot: tuple[int, int],
+) -> None:
     """Distortion, turned cameras, unequal sizes; within 0.1 px and 1 mm."""
     z = float(plane_depth(DEPTH)[spot[1], spot[0]])
     point_depth = DEPTH.backproject(np.array(spot, dtype=float), np.array(z))
@@ -178,10 +180,17 @@ def test_the_same_scene_in_mm_m_bop_scale_and_tum_units_gives_the_same_pose(tmp_
     depth_m = (np.round(frame.depth_m * 1e3) * 1e-3).astype(np.float32)
     frames = {"m": RgbdFrame(frame.color, depth_m, frame.camera)}
     settings = (
-        "%YAML:1.0\n---\n"
-        + "".join(f"Camera.{n}: {frame.camera.K[i, j]!r}\n" for n, i, j in (("fx", 0, 0), ("fy", 1, 1), ("cx", 0, 2), ("cy", 1, 2)))
-        + f"Camera.width: {frame.camera.width}\nCamera.height: {frame.camera.height}\nDepthMapFactor: 5000.0\n"
-    ).replace("np.float64(", "").replace(")", "")
+        (
+            "%YAML:1.0\n---\n"
+            + "".join(
+                f"Camera.{n}: {frame.camera.K[i, j]!r}\n"
+                for n, i, j in (("fx", 0, 0), ("fy", 1, 1), ("cx", 0, 2), ("cy", 1, 2))
+            )
+            + f"Camera.width: {frame.camera.width}\nCamera.height: {frame.camera.height}\nDepthMapFactor: 5000.0\n"
+        )
+        .replace("np.float64(", "")
+        .replace(")", "")
+    )
     (tmp_path / "TUM.yaml").write_text(settings)
     tum = written(read_calibration(tmp_path / "TUM.yaml"), "open3d").text
     millimetres = json.dumps({k: v for k, v in json.loads(tum).items() if k != "depth_scale"})
@@ -197,7 +206,9 @@ def test_the_same_scene_in_mm_m_bop_scale_and_tum_units_gives_the_same_pose(tmp_
         (bop / folder).mkdir(parents=True)
     write_color(bop / "rgb" / "000000.png", frame.color)
     write_depth(bop / "depth" / "000000.png", depth_m, metres_per_unit=1e-4)
-    (bop / "scene_camera.json").write_text(json.dumps({"0": {"cam_K": frame.camera.K.ravel().tolist(), "depth_scale": 0.1}}))
+    (bop / "scene_camera.json").write_text(
+        json.dumps({"0": {"cam_K": frame.camera.K.ravel().tolist(), "depth_scale": 0.1}})
+    )
     frames["bop"] = open_source(bop).entries[0].read().frame
     network = Network(ROOT / "runtime" / "bundles" / "box.onnx", threads=1)
     poses = {name: estimate(network, one, region) for name, one in frames.items()}

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from figures_shown import report
 from page_calibration.calibration import CalibratedCamera, Calibration, CalibrationError, Provenance
 from page_calibration.camera_json import to_json
 from page_calibration.cli import main
@@ -23,7 +24,9 @@ def random_pose(rng: np.random.Generator, angle: float, reach: float) -> Array:
     return transform_from(rotation_about(rng.normal(size=3), rng.uniform(0, angle)), rng.uniform(-reach, reach, 3))
 
 
-def session(seed: int, poses: int = 12, *, turn: float = 0.0, shift: float = 0.0) -> tuple[list[Array], list[Array], Array]:
+def session(
+    seed: int, poses: int = 12, *, turn: float = 0.0, shift: float = 0.0
+) -> tuple[list[Array], list[Array], Array]:
     """(T_base_hand, T_camera_target with noise, T_hand_camera) of a camera on a hand."""
     rng = np.random.default_rng(seed)
     T_hand_camera, T_base_target = random_pose(rng, 3.0, 0.1), random_pose(rng, 3.0, 0.6)
@@ -62,7 +65,7 @@ def test_the_refinement_is_better_than_park_and_martin_alone_and_knows_its_error
         refined.append(errors(found.X, truth))
         normalised.append((found.X[:3, :3].T @ (found.X[:3, 3] - truth[:3, 3])) / found.deviations[3:])
     start, end = np.median(started, axis=0), np.median(refined, axis=0)
-    print(f"\nmedian: Park-Martin {start[0] * 1e3:.2f} mm {np.degrees(start[1]):.3f} deg, refined {end[0] * 1e3:.2f} mm "
+    report(f"Park-Martin {start[0] * 1e3:.2f} mm {np.degrees(start[1]):.3f} deg, refined {end[0] * 1e3:.2f} mm "
           f"{np.degrees(end[1]):.3f} deg")  # fmt: skip
     assert end[0] < 0.9 * start[0]
     assert end[1] < 0.7 * start[1]
@@ -75,7 +78,7 @@ def test_real_poses_of_a_robot_put_the_target_in_one_place(shared_data: Path) ->
         [read_visp_pose(folder / f"pose_{kind}_{i}.yaml") for i in range(1, 9)] for kind in ("fPe", "cPo")
     )
     found = solve_hand_eye(hands, targets, mount="eye-in-hand")
-    print(f"\nscatter {found.scatter_rms_m * 1e3:.2f} mm rms along each axis, farthest {found.scatter_m.max() * 1e3:.2f} mm, "
+    report(f"scatter {found.scatter_rms_m * 1e3:.2f} mm rms an axis, farthest {found.scatter_m.max() * 1e3:.2f} mm, "
           f"{np.degrees(found.scatter_rad).mean():.2f} degrees")  # fmt: skip
     assert found.scatter_rms_m < 0.002
     assert np.degrees(found.scatter_rad).mean() < 0.6
@@ -86,10 +89,12 @@ def test_too_little_turning_is_refused_with_the_reason() -> None:
     with pytest.raises(CalibrationError, match="2 different rotations of the hand in 2 poses, 3 are the least"):
         solve_hand_eye(hands[:2], targets[:2], mount="eye-in-hand")
     still = [transform_from(hands[0][:3, :3], T[:3, 3]) for T in hands]
-    with pytest.raises(CalibrationError, match="1 different rotations.* moving it without turning says nothing"):
+    with pytest.raises(CalibrationError, match=r"1 different rotations.* moving it without turning says nothing"):
         solve_hand_eye(still, targets, mount="eye-in-hand")
     axis = np.array([0.2, 0.3, 1.0])
-    hinged = [transform_from(rotation_about(axis, a), T[:3, 3]) for a, T in zip(np.linspace(0, 2, 12), hands, strict=True)]
+    hinged = [
+        transform_from(rotation_about(axis, a), T[:3, 3]) for a, T in zip(np.linspace(0, 2, 12), hands, strict=True)
+    ]
     with pytest.raises(CalibrationError, match="about one axis"):
         solve_hand_eye(hinged, targets, mount="eye-in-hand")
     with pytest.raises(CalibrationError, match="12 poses of the robot, 11 of the target"):

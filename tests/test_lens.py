@@ -15,7 +15,9 @@ from page_runtime.lens import NO_DISTORTION, Distortion, RawCamera
 K = np.array([[612.0, 0.0, 318.4], [0.0, 611.0, 241.7], [0.0, 0.0, 1.0]])
 BROWN = Distortion("brown-conrady", np.array([-0.28, 0.11, 0.0012, -0.0008, -0.02]))
 RATIONAL = Distortion("brown-conrady", np.array([2.08, -33.3, 7e-4, -5e-4, 172.8, 1.74, -31.0, 166.9, *[0.0] * 6]))
-TILTED = Distortion("brown-conrady", np.array([-0.2, 0.1, 1e-3, 2e-3, 0.01, 0.02, 0.01, 0, 1e-3, 2e-3, -1e-3, 3e-4, 0.05, -0.03]))
+TILTED = Distortion(
+    "brown-conrady", np.array([-0.2, 0.1, 1e-3, 2e-3, 0.01, 0.02, 0.01, 0, 1e-3, 2e-3, -1e-3, 3e-4, 0.05, -0.03])
+)
 FISHEYE = Distortion("kannala-brandt", np.array([0.012, 0.05, -0.05, 0.01]))
 
 
@@ -85,9 +87,7 @@ def test_raw_pixels_follow_every_crop_resize_and_delivery(seed: int) -> None:
     for delivered, choose in ((raw().covering(width, height), max), (raw().letterboxed(width, height), min)):
         scale = choose(width / 640, height / 480)
         middle = np.array([width, height]) / 2 - 0.5
-        np.testing.assert_allclose(
-            delivered.project(points), (before - [319.5, 239.5]) * scale + middle, atol=1e-8
-        )
+        np.testing.assert_allclose(delivered.project(points), (before - [319.5, 239.5]) * scale + middle, atol=1e-8)
         assert (delivered.camera.width, delivered.camera.height) == (width, height)
 
 

@@ -27,9 +27,9 @@ _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """kind: charuco (squares with markers, may be partly seen) or chessboard (must be seen whole). columns, rows: squares.
-    square_m, marker_m: sides; marker_m and dictionary are the markers' of a charuco board. legacy: markers begin as
-    boards generated before OpenCV 4.6 have them."""
+    """kind: charuco (squares with markers, may be partly seen) or chessboard (must be seen whole). columns, rows:
+    squares. square_m, marker_m: sides; marker_m and dictionary are the markers' of a charuco board. legacy: markers
+    begin as boards generated before OpenCV 4.6 have them."""
 
     kind: Literal["charuco", "chessboard"]
     columns: int

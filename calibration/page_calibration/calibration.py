@@ -1,4 +1,4 @@
-"""What a calibration is: cameras, each with K, lens, place and the names of its frames, and where all that came from."""
+"""What a calibration is: cameras, each with K, lens, place and the names of its frames, and where that came from."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from page_runtime.lens import RawCamera
 
 
 class CalibrationError(ValueError):
-    """What was given as a calibration, or to calibrate with, cannot be used; the message is a sentence that says why."""
+    """What was given as a calibration, or to calibrate with, cannot be used; the message says why."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,8 +53,8 @@ class CalibratedCamera:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a calibration came from. format, source: what was read, or how it was made. notes: what the source says that
-    has no place here. warnings: what looks wrong but may be right."""
+    """Where a calibration came from. format, source: what was read, or how it was made. notes: what the source says
+    that has no place here. warnings: what looks wrong but may be right."""
 
     format: str
     source: str

@@ -1,4 +1,5 @@
-"""camera.json: the one form all calibrations are brought to. Metres, radians, pixels; OpenCV axes; closed and versioned.
+"""camera.json: the one form all calibrations are brought to. Metres, radians, pixels; OpenCV axes; closed and
+versioned.
 
     {"format": "page-edge camera", "version": 1,
      "cameras": [{

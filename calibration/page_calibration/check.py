@@ -110,7 +110,8 @@ def mean_agreement(
 
 
 def is_clear(gain: float, signal: float, count: int) -> bool:
-    """Whether `gain` in agreement of `count` outline points is a large part of the signal and no accident of few of them.
+    """Whether `gain` in agreement of `count` outline points is a large part of the signal and no accident of few of
+    them.
 
     Neighbouring points are on one edge: about one in ten tells something of its own.
     """
@@ -130,7 +131,9 @@ class Ranked(Protocol):
 def focal_range(ranked: Sequence[tuple[float, Ranked]]) -> str:
     """In words, which focal lengths this recording would not have told from the one given."""
     best = max(score for score, _ in ranked)
-    alike = [claim.focal for score, claim in ranked if claim.fault in ("none", "focal") and score >= (1 - MIN_GAIN) * best]
+    alike = [
+        claim.focal for score, claim in ranked if claim.fault in ("none", "focal") and score >= (1 - MIN_GAIN) * best
+    ]
     low, high = 100 * (min(alike) - 1.0), 100 * (max(alike) - 1.0)
     at_least = " at least" if min(alike) == min(FOCALS) or max(alike) == max(FOCALS) else ""
     return f"focal lengths from {low:+.1f} to {high:+.1f} %{at_least} would have fitted as well"
@@ -143,8 +146,8 @@ def _judged(ranked: list[tuple[float, Suspect]], count: int) -> Finding:
     shown = (("as given", given / max(best_score, 1e-9)), *(one for one in top[:8] if one[0] != "as given"))
     if best_score < MIN_SIGNAL:
         words = (
-            "outlines in depth lie on edges in colour no better than anywhere, whatever is assumed: were both pictures taken "
-            "at the same moment, of the same thing?"
+            "outlines in depth lie on edges in colour no better than anywhere, whatever is assumed: were both pictures "
+            "taken at the same moment, of the same thing?"
         )
         return Finding(None, words, shown, best, count)
     is_near = best.fault == "focal" and abs(best.focal - 1.0) < FOCAL_FREE

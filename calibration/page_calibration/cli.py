@@ -12,7 +12,8 @@ from page_runtime.commands.usage import UsageError
 
 EXIT_DOES_NOT_FIT = 1
 FORMATS = (
-    "page", "oak", "ros", "ros-json", "ros-ini", "kalibr", "open3d", "open3d-parameters", "bop", "bop-scene", "tum", "opencv",
+    "page", "oak", "ros", "ros-json", "ros-ini", "kalibr", "open3d", "open3d-parameters", "bop", "bop-scene",
+    "tum", "opencv",
 )  # fmt: skip
 
 
@@ -79,7 +80,10 @@ def _parser() -> argparse.ArgumentParser:
     convert.add_argument("--frame", metavar="NAME", help="only this camera of it")
     convert.add_argument("--size", metavar="WxH", type=_size, help="the picture size, for formats that do not say")
     convert.add_argument(
-        "--delivered", metavar="WxH", type=_size, help="K of the picture a device delivers: scaled to cover this size, cut"
+        "--delivered",
+        metavar="WxH",
+        type=_size,
+        help="K of the picture a device delivers: scaled to cover this size, cut",
     )
     convert.add_argument("--allow-loss", action="store_true", help="write although the format cannot hold all of it")
 
@@ -102,13 +106,19 @@ def _parser() -> argparse.ArgumentParser:
     extrinsics.add_argument("pictures", metavar="PICTURES", type=Path, help="a folder; camera and board stand still")
     calibration(extrinsics)
     _board_options(extrinsics)
-    extrinsics.add_argument("--board-pose", metavar="FILE", type=Path, help='{"T_world_board": 4x4}: where the board is')
+    extrinsics.add_argument(
+        "--board-pose", metavar="FILE", type=Path, help='{"T_world_board": 4x4}: where the board is'
+    )
     extrinsics.add_argument("--world", metavar="NAME", default="world", help="the world frame's name")
     output(extrinsics)
 
     hand_eye = command("hand-eye", "find where a camera is on a robot's hand, or before the robot")
-    hand_eye.add_argument("--robot", metavar="POSES", type=Path, required=True, help="T_base_hand: JSON, or ViSP's folder")
-    hand_eye.add_argument("--target", metavar="POSES", type=Path, help="T_camera_target: JSON, or a folder of ViSP poses")
+    hand_eye.add_argument(
+        "--robot", metavar="POSES", type=Path, required=True, help="T_base_hand: JSON, or ViSP's folder"
+    )
+    hand_eye.add_argument(
+        "--target", metavar="POSES", type=Path, help="T_camera_target: JSON, or a folder of ViSP poses"
+    )
     hand_eye.add_argument("--pictures", metavar="FOLDER", type=Path, help="pictures of a board, instead of --target")
     hand_eye.add_argument("--mount", choices=("eye-in-hand", "eye-to-hand"), default="eye-in-hand")
     calibration(hand_eye)
@@ -116,13 +126,19 @@ def _parser() -> argparse.ArgumentParser:
     output(hand_eye)
 
     register = command("register", "raw colour and depth pictures to a folder that page-runtime plays")
-    register.add_argument("path", metavar="RAW", type=Path, help="a folder with color/ and depth/ as the cameras took them")
+    register.add_argument(
+        "path", metavar="RAW", type=Path, help="a folder with color/ and depth/ as the cameras took them"
+    )
     register.add_argument("--camera", metavar="FILE", type=Path, required=True, help="the calibration of both cameras")
-    register.add_argument("--frames", metavar=("COLOR", "DEPTH"), nargs=2, default=("color", "depth"), help="their names")
+    register.add_argument(
+        "--frames", metavar=("COLOR", "DEPTH"), nargs=2, default=("color", "depth"), help="their names"
+    )
     register.add_argument("-o", "--out", metavar="FOLDER", type=Path, required=True, help="the folder to write")
 
     check = command("check", "does this calibration fit this recording? exit code 1 when it does not")
-    check.add_argument("path", metavar="RECORDING", type=Path, help="raw color/ and depth/, or a source page-runtime plays")
+    check.add_argument(
+        "path", metavar="RECORDING", type=Path, help="raw color/ and depth/, or a source page-runtime plays"
+    )
     check.add_argument("--camera", metavar="FILE", type=Path, help="the calibration (default: the recording's own)")
     check.add_argument("--frames", metavar=("COLOR", "DEPTH"), nargs=2, default=("color", "depth"), help="their names")
     check.add_argument("--report", metavar="FILE", type=Path, help="write a one-page HTML report here")

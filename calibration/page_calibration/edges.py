@@ -75,7 +75,8 @@ def color_edge_distance(color: NDArray[np.uint8]) -> NDArray[np.float32]:
     gx, gy = (np.take_along_axis(d, strongest, axis=2)[..., 0] for d in (dx, dy))
     low, high = np.quantile(np.hypot(gx, gy), CANNY_QUANTILES)
     edges = cv2.Canny(
-        np.clip(gx, -32768, 32767).astype(np.int16), np.clip(gy, -32768, 32767).astype(np.int16), float(low), float(high),
+        np.clip(gx, -32768, 32767).astype(np.int16), np.clip(gy, -32768, 32767).astype(np.int16), float(low),
+        float(high),
         L2gradient=True,
     )  # fmt: skip
     distance = cv2.distanceTransform((edges == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

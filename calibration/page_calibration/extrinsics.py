@@ -18,7 +18,9 @@ MIN_RIVAL = 1.5
 MAX_MOTION_PX = 2.0
 
 
-def locate_camera(raw: RawCamera, views: Sequence[View], *, T_world_board: Array | None = None) -> tuple[Array, BoardPose]:
+def locate_camera(
+    raw: RawCamera, views: Sequence[View], *, T_world_board: Array | None = None
+) -> tuple[Array, BoardPose]:
     """(T_camera_world, the board's pose) of a camera that saw a board that did not move, in one or more pictures.
 
     T_world_board: (4,4) where the board is in the world; without it the board's frame is the world. CalibrationError
@@ -30,8 +32,8 @@ def locate_camera(raw: RawCamera, views: Sequence[View], *, T_world_board: Array
     pose = board_pose(raw, joined(views))
     if pose.rival_rms_px < MIN_RIVAL * pose.rms_px:
         raise CalibrationError(
-            f"extrinsics: the board's tilt and its mirror image fit alike ({pose.rms_px:.2f} and {pose.rival_rms_px:.2f} "
-            "px); bring the board nearer, or look at it from more aside (30 to 60 degrees)"
+            f"extrinsics: the board's tilt and its mirror image fit alike ({pose.rms_px:.2f} and "
+            f"{pose.rival_rms_px:.2f} px); bring the board nearer, or look at it from more aside (30 to 60 degrees)"
         )
     T_board_world = np.eye(4) if T_world_board is None else invert(T_world_board)
     return pose.T_camera_board @ T_board_world, pose
@@ -49,6 +51,6 @@ def _require_still(views: Sequence[View]) -> None:
         moved = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1).max()
         if moved > MAX_MOTION_PX:
             raise CalibrationError(
-                f"extrinsics: corner {corner} of the board moved by {moved:.1f} px between the pictures; camera and board "
-                "must stand still"
+                f"extrinsics: corner {corner} of the board moved by {moved:.1f} px between the pictures; camera and "
+                "board must stand still"
             )

@@ -6,8 +6,8 @@ other end; X is what is wanted and A_i X B_i = Z is the same for all i:
     eye in hand   A = T_base_hand   X = T_hand_camera   B = T_camera_target   Z = T_base_target
     eye to hand   A = T_hand_base   X = T_base_camera   B = T_camera_target   Z = T_hand_target
 
-Start: Park and Martin, Robot Sensor Calibration, 1994. Then all of X and Z by least squares on what disagrees, turns and
-shifts each weighed by their own spread, which is estimated from the disagreement itself.
+Start: Park and Martin, Robot Sensor Calibration, 1994. Then all of X and Z by least squares on what disagrees, turns
+and shifts each weighed by their own spread, which is estimated from the disagreement itself.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ REWEIGHTINGS = 5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HandEye:
-    """X (4,4): T_hand_camera of eye in hand, T_base_camera of eye to hand. Z (4,4): where the target is. start: X before
-    the refinement. scatter_m, scatter_rad: (n,) how far each pose puts the target from where all together put it.
+    """X (4,4): T_hand_camera of eye in hand, T_base_camera of eye to hand. Z (4,4): where the target is. start: X
+    before the refinement. scatter_m, scatter_rad: (n,) how far each pose puts the target from where all put it.
     deviations: (6,) of X, rad and metres, in the camera's axes."""
 
     mount: Mount
@@ -81,9 +81,9 @@ def _require_turns(A: Array) -> None:
     distinct = distinct_rotations(A) if len(A) else 0
     if distinct < MIN_ROTATIONS:
         raise CalibrationError(
-            f"hand-eye: {distinct} different rotations of the hand in {len(A)} poses, {MIN_ROTATIONS} are the least; turn "
-            "the hand by 20 degrees or more between poses, about different axes: moving it without turning says nothing "
-            "about where the camera is"
+            f"hand-eye: {distinct} different rotations of the hand in {len(A)} poses, {MIN_ROTATIONS} are the least; "
+            "turn the hand by 20 degrees or more between poses, about different axes: moving it without turning says "
+            "nothing about where the camera is"
         )
     axes = np.array([
         axis / np.linalg.norm(axis)
@@ -93,8 +93,8 @@ def _require_turns(A: Array) -> None:
     apart = np.degrees(np.arccos(np.clip(np.abs(axes @ axes.T), 0.0, 1.0))).max()
     if apart < MIN_AXES_DEG:
         raise CalibrationError(
-            f"hand-eye: all turns of the hand are about one axis (within {apart:.1f} degrees), which leaves the camera's "
-            "place along it open; turn the hand about a second axis too"
+            f"hand-eye: all turns of the hand are about one axis (within {apart:.1f} degrees), which leaves the "
+            "camera's place along it open; turn the hand about a second axis too"
         )
 
 

@@ -94,7 +94,7 @@ def _fitted(views: Sequence[View], size: tuple[int, int], lens: LensKind) -> tup
             )
     except cv2.error as error:
         raise CalibrationError(
-            f"OpenCV finds no {lens} camera that took these {len(views)} views ({error.err}); is the board's size right?"
+            f"OpenCV finds no {lens} camera for these {len(views)} views ({error.err}); is the board's size right?"
         ) from error
     poses = tuple(
         transform_from(cv2.Rodrigues(np.asarray(r, dtype=float))[0], np.asarray(t, dtype=float).ravel())

@@ -42,8 +42,8 @@ def find_views(source: str, board: Board, *, wanted: int = 25, told: Told | None
         here = gray.shape[1], gray.shape[0]
         if size is not None and here != size:
             raise CalibrationError(
-                f"{source}: {name} is {here[0]}x{here[1]}, those before are {size[0]}x{size[1]}; a calibration is for one "
-                "size"
+                f"{source}: {name} is {here[0]}x{here[1]}, those before are {size[0]}x{size[1]}; a calibration is for "
+                "one size"
             )
         size = here
         found = find_board(board, gray, name=name)
@@ -61,8 +61,8 @@ def find_views(source: str, board: Board, *, wanted: int = 25, told: Told | None
         raise CalibrationError(f"{source}: no pictures; expected .png or .jpg")
     if not views:
         raise CalibrationError(
-            f"{source}: the {board} is in none of {len(unused)} pictures; check squares (columns x rows), dictionary, and "
-            "for boards printed before OpenCV 4.6 --legacy"
+            f"{source}: the {board} is in none of {len(unused)} pictures; check squares (columns x rows), dictionary, "
+            "and for boards printed before OpenCV 4.6 --legacy"
         )
     return FoundViews(tuple(views), size, tuple(unused) if is_folder else ())
 

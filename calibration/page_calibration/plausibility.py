@@ -76,8 +76,8 @@ def lens_warnings(calibration: Calibration) -> tuple[str, ...]:
     """A sentence for each camera whose picture cannot be undistorted everywhere."""
     shares = {camera.frame: folded_share(camera) for camera in calibration}
     return tuple(
-        f"the lens model of {frame!r} has no ray for {max(1, round(100 * share))} % of the picture, in its corners: nothing "
-        "will be found there; views of the board that reach the corners would tell the model more"
+        f"the lens model of {frame!r} has no ray for {max(1, round(100 * share))} % of the picture, in its corners: "
+        "nothing will be found there; views of the board that reach the corners would tell the model more"
         for frame, share in shares.items()
         if share > 0.0
     )
@@ -88,8 +88,8 @@ def _require_lens(calibrated: CalibratedCamera) -> None:
     if share > MAX_FOLDED:
         raise CalibrationError(
             f"camera {calibrated.frame!r}: its {calibrated.raw.distortion.model} distortion has no ray for "
-            f"{100 * share:.0f} % of the picture; the coefficients are in another order or of another model, or K is of "
-            "another resolution"
+            f"{100 * share:.0f} % of the picture; the coefficients are in another order or of another model, or K is "
+            "of another resolution"
         )
 
 
@@ -97,8 +97,8 @@ def _require_place(calibrated: CalibratedCamera) -> None:
     distance = baseline_m(calibrated.camera.T_camera_world)
     if distance > MAX_DISTANCE_M:
         raise CalibrationError(
-            f"camera {calibrated.frame!r}: {distance:.4g} m from {calibrated.world_frame!r}; expected metres, these are "
-            "probably millimetres"
+            f"camera {calibrated.frame!r}: {distance:.4g} m from {calibrated.world_frame!r}; expected metres, these "
+            "are probably millimetres"
         )
     unit = calibrated.depth_unit_m
     if unit is not None and not MIN_DEPTH_UNIT_M <= unit <= MAX_DEPTH_UNIT_M:

@@ -31,7 +31,9 @@ def board_pose(raw: RawCamera, view: View) -> BoardPose:
     plane = raw.rays(view.pixels)[:, :2]
     has_ray = ~np.isnan(plane).any(axis=1)
     if has_ray.sum() < 4:
-        raise CalibrationError(f"{view.name}: its corners lie where the lens model has no rays; calibrate the lens again")
+        raise CalibrationError(
+            f"{view.name}: its corners lie where the lens model has no rays; calibrate the lens again"
+        )
     points, plane = view.points_board[has_ray], plane[has_ray]
     _, rotations, translations, _ = cv2.solvePnPGeneric(points, plane, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     solutions = []

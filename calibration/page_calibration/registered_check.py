@@ -58,7 +58,9 @@ def check_frames(frames: Sequence[RgbdFrame]) -> Finding:
         return shifted
     pairs = list(_moved_pairs(frames))
     if not pairs:
-        words = f"{shifted.words}. K and places cannot be judged: the camera did not move, or its places are not recorded"
+        words = (
+            f"{shifted.words}. K and places cannot be judged: the camera did not move, or its places are not recorded"
+        )
         return replace(shifted, words=words)
     return _judged(frames, pairs, shifted.outlines)
 
@@ -84,8 +86,8 @@ def _registration(frames: Sequence[RgbdFrame]) -> Finding:
     shown = (("as given", given), (f"moved by {best[0]:g}, {best[1]:g} px", 1.0))
     if np.hypot(*best) > MAX_SHIFT_PX and is_clear(scores[best] - scores[0.0, 0.0], signal, count):
         words = (
-            f"depth is not registered to colour: its outlines lie on the edges when moved by ({best[0]:g}, {best[1]:g}) px; "
-            "register with the rig's calibration (page-calibrate register)"
+            f"depth is not registered to colour: its outlines lie on the edges when moved by ({best[0]:g}, "
+            f"{best[1]:g}) px; register with the rig's calibration (page-calibrate register)"
         )
         return Finding("extrinsics", words, shown, outlines=count)
     return Finding("none", f"depth is registered to colour, by {count} outline points", shown, outlines=count)

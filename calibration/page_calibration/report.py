@@ -17,7 +17,8 @@ body { font: 15px/1.45 sans-serif; max-width: 62em; margin: 2em auto; padding: 0
 h1 { font-size: 1.5em; } h2 { font-size: 1.1em; margin-top: 1.8em; }
 table { border-collapse: collapse; } td, th { padding: .15em .9em .15em 0; text-align: left; }
 td + td { font-variant-numeric: tabular-nums; }
-.good { border-left: .4em solid #2a9d5c; padding-left: .7em; } .bad { border-left: .4em solid #c8452f; padding-left: .7em; }
+.good { border-left: .4em solid #2a9d5c; padding-left: .7em; }
+.bad { border-left: .4em solid #c8452f; padding-left: .7em; }
 svg, img { max-width: 100%; height: auto; background: #fafafa; } .note { color: #666; font-size: .9em; }
 """
 

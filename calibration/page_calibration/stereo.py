@@ -46,14 +46,12 @@ def calibrate_stereo(a: RawCamera, b: RawCamera, views_a: Sequence[View], views_
     """T_b_a from views of the same names; K and lenses are kept as they are."""
     by_name = {view.name: view for view in views_b}
     pairs = [
-        pair
-        for view in views_a
-        if view.name in by_name and (pair := _pair(a, b, view, by_name[view.name])) is not None
+        pair for view in views_a if view.name in by_name and (pair := _pair(a, b, view, by_name[view.name])) is not None
     ]
     if len(pairs) < MIN_PAIRS:
         raise CalibrationError(
-            f"stereo: {len(pairs)} pairs show {MIN_COMMON} corners of the board in both pictures, {MIN_PAIRS} are the least; "
-            "pictures of one moment must have one name in both folders"
+            f"stereo: {len(pairs)} pairs show {MIN_COMMON} corners of the board in both pictures, {MIN_PAIRS} are the "
+            "least; pictures of one moment must have one name in both folders"
         )
     start = _start(a, b, views_a, by_name, {pair.name for pair in pairs})
     T_b_a, rms = _fitted(pairs, b, start)
@@ -76,9 +74,7 @@ def _pair(a: RawCamera, b: RawCamera, view_a: View, view_b: View) -> _Pair | Non
     return _Pair(view_a.name, view_a.points_board[i][good], plane_a[good], plane_b[good])
 
 
-def _start(
-    a: RawCamera, b: RawCamera, views_a: Sequence[View], views_b: dict[str, View], names: set[str]
-) -> Array:
+def _start(a: RawCamera, b: RawCamera, views_a: Sequence[View], views_b: dict[str, View], names: set[str]) -> Array:
     """The middle one of what each pair alone says; refused when they say different things."""
     alone = np.array([
         board_pose(b, views_b[view.name]).T_camera_board @ invert(board_pose(a, view).T_camera_board)
@@ -90,14 +86,14 @@ def _start(
     allowed = max(MAX_SCATTER_SHARE * np.linalg.norm(middle), 0.02)
     if np.median(distances) > allowed:
         raise CalibrationError(
-            f"stereo: the pairs put the second camera {np.median(distances) * 1e3:.0f} mm apart from each other; were the "
-            "pictures of a pair taken at the same moment, and do the names match?"
+            f"stereo: the pairs put the second camera {np.median(distances) * 1e3:.0f} mm apart from each other; were "
+            "the pictures of a pair taken at the same moment, and do the names match?"
         )
     return alone[int(np.argmin(distances))]
 
 
 def _fitted(pairs: Sequence[_Pair], b: RawCamera, start: Array) -> tuple[Array, Array]:
-    """(T_b_a, rms px of each pair): OpenCV's on undistorted pictures with b's focal length in both, so any lens will do."""
+    """(T_b_a, rms px of each pair): OpenCV's, on undistorted pictures of b's focal length, so any lens will do."""
     f = b.camera.K[0, 0]
     K = np.diag([f, f, 1.0])
     boards = [pair.points_board.astype(np.float32) for pair in pairs]

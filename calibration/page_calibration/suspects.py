@@ -14,7 +14,8 @@ from page_runtime.lens import RawCamera
 
 Fault = Literal["none", "extrinsics", "unit", "resolution", "focal"]
 
-UNITS = {1e-3: "millimetres taken for metres", 1e-2: "centimetres taken for metres", 10.0: "metres taken for decimetres",
+UNITS = {1e-3: "millimetres taken for metres", 1e-2: "centimetres taken for metres",
+         10.0: "metres taken for decimetres",
          100.0: "metres taken for centimetres", 1e3: "metres taken for millimetres"}  # fmt: skip
 RESOLUTIONS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 FOCALS = tuple(np.round(np.arange(0.94, 1.0601, 0.0025), 4))

@@ -87,8 +87,8 @@ def require_known(raw: RawCamera, deviations: Deviations, views: Sequence[View],
     if spread < MIN_TILT_DEG:
         most = max(np.degrees(float(rotation_angle(a[:3, :3], b[:3, :3]))) for a in poses for b in poses)
         wants.append(
-            "boards tilted by 20 to 40 degrees, some to the left, some to the right, some up, some down (these differ by "
-            f"{spread:.1f} degrees in tilt along one axis, {most:.0f} in all)"
+            "boards tilted by 20 to 40 degrees, some to the left, some to the right, some up, some down (these differ "
+            f"by {spread:.1f} degrees in tilt along one axis, {most:.0f} in all)"
         )
     focal = max(fx / K[0, 0], fy / K[1, 1])
     if focal > MAX_FOCAL_DEVIATION:

@@ -1,9 +1,9 @@
 """Raw colour and raw depth of two cameras -> one RgbdFrame: colour undistorted, depth registered to it.
 
 OpenCV's registerDepth sends every depth pixel to the nearest colour pixel and keeps the nearest surface. That decides
-what is visible; both roundings, half a pixel of each camera, stay in the depth and cost millimetres on slanted surfaces.
-So each registered pixel is then read where its ray really meets the depth picture, between four readings of one
-surface. 1/z is linear there on a plane, so planes are exact.
+what is visible; both roundings, half a pixel of each camera, stay in the depth and cost millimetres on slanted
+surfaces. So each registered pixel is then read where its ray really meets the depth picture, between four readings of
+one surface. 1/z is linear there on a plane, so planes are exact.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Cameras as their sensors see: a pinhole and the distortion of its lens.
 
-Everything after registration works on `Camera`, which has no distortion. This is what comes before: raw pictures, and the
-map between their pixels and rays. Pixels and axes are those of camera.py.
+Everything after registration works on `Camera`, which has no distortion. This is what comes before: raw pictures, and
+the map between their pixels and rays. Pixels and axes are those of camera.py.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Distortion:
         return found
 
     def _step(self, at: Array, residual: Array) -> tuple[Array, Array]:
-        """(Newton's step (n,2), whether the Jacobian (n,2,2) neither mirrors nor turns round) by central differences."""
+        """(Newton's step (n,2), whether the Jacobian neither mirrors nor turns round (n,)), central differences."""
         columns = [
             (self.distorted(at + shift) - self.distorted(at - shift)) / (2 * _STEP) for shift in _STEP * np.eye(2)
         ]
@@ -191,7 +191,7 @@ class RawCamera:
         return self.rays(pixels) * np.asarray(depth_m)[..., None]
 
     def pixel_map(self, pinhole: Camera) -> Array:
-        """(H,W,2) float32 for cv2.remap: the raw pixel that each pixel of `pinhole`, seen from the same place, shows."""
+        """(H,W,2) float32 for cv2.remap: the raw pixel that each pixel of `pinhole`, at the same place, shows."""
         rows, columns = np.mgrid[: pinhole.height, : pinhole.width]
         rays = pinhole.rays(np.stack([columns, rows], axis=-1).astype(float))
         return self.pixels(rays[..., :2]).astype(np.float32)

@@ -20,7 +20,9 @@ from page_calibration.views import tilt_spread_deg
 MAX_HOLDOUT_RATIO = 1.5
 
 
-def camera(source: str, *, out: Path, report: Path | None, lens: LensKind, name: str, views: int, **options: Any) -> None:
+def camera(
+    source: str, *, out: Path, report: Path | None, lens: LensKind, name: str, views: int, **options: Any
+) -> None:
     """Calibrate, write camera.json and the report, say how well it is known."""
     board = board_of(options)
     require_places(out, report)

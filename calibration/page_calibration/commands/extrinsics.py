@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from page_calibration.calibration import CalibrationError, Calibration, Provenance
+from page_calibration.calibration import Calibration, CalibrationError, Provenance
 from page_calibration.camera_json import matrix
 from page_calibration.commands.inputs import board_of, chosen_camera, require_places, write_calibration, write_text
 from page_calibration.commands.words import camera_lines
@@ -19,8 +19,8 @@ from page_runtime.geometry import apply, require_rigid
 
 
 def extrinsics(
-    pictures: Path, *, camera: Path, frame: str | None, board_pose: Path | None, world: str, out: Path, report: Path | None,
-    **options: Any,
+    pictures: Path, *, camera: Path, frame: str | None, board_pose: Path | None, world: str, out: Path, report: Path |
+    None, **options: Any,
 ) -> None:  # fmt: skip
     """Locate the camera and write it, placed in the world, to camera.json."""
     board = board_of(options)
@@ -29,8 +29,8 @@ def extrinsics(
     raw = calibrated.raw
     if (raw.camera.width, raw.camera.height) != found.size:
         raise CalibrationError(
-            f"{camera} is for {raw.camera.width}x{raw.camera.height}, the pictures are {found.size[0]}x{found.size[1]}; give "
-            "the calibration of this size (page-calibrate convert --delivered)"
+            f"{camera} is for {raw.camera.width}x{raw.camera.height}, the pictures are "
+            f"{found.size[0]}x{found.size[1]}; give the calibration of this size (page-calibrate convert --delivered)"
         )
     T_world_board = None
     if board_pose is not None:

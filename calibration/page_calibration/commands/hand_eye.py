@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from page_calibration.calibration import Calibration, CalibratedCamera, CalibrationError, Deviations, Provenance
+from page_calibration.calibration import CalibratedCamera, Calibration, CalibrationError, Deviations, Provenance
 from page_calibration.commands.inputs import board_of, chosen_camera, require_places, write_calibration, write_text
 from page_calibration.commands.words import camera_lines
 from page_calibration.hand_eye import HandEye, Mount, solve_hand_eye
@@ -25,8 +25,8 @@ MAX_SCATTER_M = 0.005
 
 
 def hand_eye(
-    *, robot: Path, target: Path | None, pictures: Path | None, mount: Mount, camera: Path, frame: str | None, out: Path,
-    report: Path | None, **options: Any,
+    *, robot: Path, target: Path | None, pictures: Path | None, mount: Mount, camera: Path, frame: str | None, out:
+    Path, report: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Solve, and write the camera with its place on the hand (world frame "hand") or before the robot ("base")."""
     if (target is None) == (pictures is None):
@@ -47,7 +47,9 @@ def hand_eye(
     result = solve_hand_eye([T_base_hand[n] for n in names], [T_camera_target[n] for n in names], mount=mount)
     placed = placed_camera(calibrated, result)
     scatter = f"{len(names)} poses, the target scatters by {result.scatter_rms_m * 1e3:.2f} mm rms along each axis"
-    write_calibration(out, Calibration((placed,), Provenance(f"page-calibrate hand-eye, {mount}", robot.name, (scatter,))))
+    write_calibration(
+        out, Calibration((placed,), Provenance(f"page-calibrate hand-eye, {mount}", robot.name, (scatter,)))
+    )
     write_text(report, report_of(placed, result, names))
     sys.stdout.write("\n".join([*camera_lines(placed), f"  fit      {scatter}", verdict(result)]) + "\n")
 

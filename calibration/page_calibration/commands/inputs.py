@@ -65,5 +65,3 @@ def tell(name: str, found: View | str) -> None:
     """A line on standard error for a picture looked at."""
     text = found if isinstance(found, str) else f"{len(found.ids)} corners"
     sys.stderr.write(f"{name}: {text}\n")
-
-

@@ -32,8 +32,8 @@ def stereo(
         size = calibrated.camera.width, calibrated.camera.height
         if size != found.size:
             raise CalibrationError(
-                f"{path} is for {size[0]}x{size[1]}, the pictures in {pictures} are {found.size[0]}x{found.size[1]}; give "
-                "the calibration of this size (page-calibrate convert --delivered)"
+                f"{path} is for {size[0]}x{size[1]}, the pictures in {pictures} are {found.size[0]}x{found.size[1]}; "
+                "give the calibration of this size (page-calibrate convert --delivered)"
             )
         pair.append((calibrated, found.views))
     (a, views_a), (b, views_b) = pair
@@ -64,7 +64,9 @@ def verdict(result: StereoCalibration) -> str:
     assert shift is not None
     text = f"The cameras are {baseline_m(result.T_b_a) * 1e3:.2f} mm apart, known to {shift.max() * 1e3:.2f} mm."
     if result.epipolar_px > MAX_EPIPOLAR_PX:
-        text += " Corners are far off their epipolar lines: calibrate each camera again, or take pairs at the same moment."
+        text += (
+            " Corners are far off their epipolar lines: calibrate each camera again, or take pairs at the same moment."
+        )
     return text
 
 
@@ -75,13 +77,17 @@ def report_of(calibration: Calibration, result: StereoCalibration) -> str:
     assert turn is not None
     t = result.T_b_a[:3, 3] * 1e3
     rows = [
-        (f"{axis}, mm", f"{t[i]:.3f}", f"{shift[i] * 1e3:.3f}", f"{np.degrees(turn[i]):.4f}") for i, axis in enumerate("xyz")
+        (f"{axis}, mm", f"{t[i]:.3f}", f"{shift[i] * 1e3:.3f}", f"{np.degrees(turn[i]):.4f}")
+        for i, axis in enumerate("xyz")
     ]
     b, a = calibration.frames[1], calibration.frames[0]
     place = table(rows, header=(f"{a} in {b}", "shift", "standard deviation", "of the turn, degrees"))
     sections = [
         ("Place", place + note("Delete-one-pair jackknife.")),
-        ("Fit", table([("off epipolar lines, rms", f"{result.epipolar_px:.3f} px"), ("pairs", str(len(result.pairs)))])),
+        (
+            "Fit",
+            table([("off epipolar lines, rms", f"{result.epipolar_px:.3f} px"), ("pairs", str(len(result.pairs)))]),
+        ),
         ("Each pair", bars(result.pairs, result.pair_rms_px, unit="px")),
     ]
     return page(f"{b} to {a}", verdict(result), sections, is_good=result.epipolar_px <= MAX_EPIPOLAR_PX)

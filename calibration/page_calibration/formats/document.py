@@ -1,4 +1,4 @@
-"""Files of other programs, parsed: JSON, YAML and its OpenCV dialect, INI; whatever it is, as lists and dictionaries."""
+"""Files of other programs, parsed: JSON, YAML and its OpenCV dialect, INI; all as lists and dictionaries."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def parse_yaml(text: str) -> Any:
 
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, True))
     try:
-        return yaml.load(text, Loader)  # noqa: S506
+        return yaml.load(text, Loader)
     except yaml.YAMLError as error:
         raise CalibrationError(f"expected YAML ({error})") from error
 

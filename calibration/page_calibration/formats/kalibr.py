@@ -7,6 +7,7 @@ Source: Kalibr wiki, yaml formats.
 
 from __future__ import annotations
 
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,9 @@ def _disagreement(T_a: Array, T_b: Array, name: str) -> list[str]:
     degrees = float(np.degrees(rotation_angle(T_a[:3, :3], T_b[:3, :3])))
     if metres <= MAX_DISAGREEMENT_M and degrees <= MAX_DISAGREEMENT_DEG:
         return []
-    return [f"{name}: T_cam_imu and T_cn_cnm1 disagree by {metres * 1e3:.2f} mm and {degrees:.2f} degrees; T_cam_imu used"]
+    return [
+        f"{name}: T_cam_imu and T_cn_cnm1 disagree by {metres * 1e3:.2f} mm and {degrees:.2f} degrees; T_cam_imu used"
+    ]
 
 
 def write(calibration: Calibration) -> str:
@@ -107,7 +110,9 @@ def write(calibration: Calibration) -> str:
         coefficients = lens.coefficients.tolist()
         if lens.model == "brown-conrady":
             if any(coefficients[4:]):
-                raise CalibrationError(f"Kalibr's radtan ends at p2; {camera.frame!r} has {len(coefficients)} coefficients")
+                raise CalibrationError(
+                    f"Kalibr's radtan ends at p2; {camera.frame!r} has {len(coefficients)} coefficients"
+                )
             coefficients = coefficients[:4]
         elif lens.model == "none":
             coefficients = [0.0] * 4

@@ -41,10 +41,10 @@ def read(document: Document) -> Read:
     """Every socket's camera, placed in the socket its chain ends at."""
     where = str(document.path)
     version = number(field(document.data, "version", where=where), where=f"{where}, version")
-    entries = dict(
-        (int(number(socket, where=f"{where}, cameraData")), entry)
+    entries = {
+        int(number(socket, where=f"{where}, cameraData")): entry
         for socket, entry in _pairs(document.data["cameraData"], where=f"{where}, cameraData")
-    )
+    }
     if not entries:
         raise CalibrationError(f"{where}: no camera in it; the device was never calibrated, or its EEPROM was cleared")
     if version < OLDEST_VERSION or any("cameraType" not in e or "specHfovDeg" not in e for e in entries.values()):
@@ -106,9 +106,7 @@ def _link(entry: dict[str, Any], *, where: str) -> tuple[int, Array] | None:
     return to, T_to_this
 
 
-def _against_spec(
-    entry: dict[str, Any], socket: int, link: tuple[int, Array] | None, *, where: str
-) -> list[str]:
+def _against_spec(entry: dict[str, Any], socket: int, link: tuple[int, Array] | None, *, where: str) -> list[str]:
     """A warning when the calibrated distance is not the board's own, within MAX_SPEC_DIFFERENCE."""
     if link is None or "specTranslation" not in entry["extrinsics"]:
         return []
@@ -117,8 +115,9 @@ def _against_spec(
     if spec == 0.0 or abs(calibrated / spec - 1.0) <= MAX_SPEC_DIFFERENCE:
         return []
     return [
-        f"{frame_of(socket)} is {calibrated * 100:.2f} cm from {frame_of(link[0])} by calibration, {spec * 100:.2f} cm by "
-        f"the board's drawing: {100 * abs(calibrated / spec - 1):.1f} % apart; if the board is not bent, calibrate again"
+        f"{frame_of(socket)} is {calibrated * 100:.2f} cm from {frame_of(link[0])} by calibration, {spec * 100:.2f} cm "
+        f"by the board's drawing, {100 * abs(calibrated / spec - 1):.1f} % apart; unless the board is bent, calibrate "
+        "again"
     ]
 
 
@@ -176,7 +175,7 @@ def write(calibration: Calibration) -> str:
                 "distortionCoeff": coefficients.tolist(),
                 "extrinsics": {
                     "rotationMatrix": T_to_this[:3, :3].tolist(),
-                    "specTranslation": {axis: 0.0 for axis in "xyz"},
+                    "specTranslation": dict.fromkeys("xyz", 0.0),
                     "toCameraSocket": NO_SOCKET if is_root else sockets[root],
                     "translation": dict(zip("xyz", (T_to_this[:3, 3] / METRES_PER_CM).tolist(), strict=True)),
                 },
@@ -188,7 +187,7 @@ def write(calibration: Calibration) -> str:
             },
         ])  # fmt: skip
     nothing = {"rotationMatrix": [], "toCameraSocket": NO_SOCKET}
-    zeros = {axis: 0.0 for axis in "xyz"}
+    zeros = dict.fromkeys("xyz", 0.0)
     document = {
         "batchName": "", "batchTime": 0, "boardConf": "", "boardCustom": "", "boardName": "page-edge",
         "boardOptions": 0, "boardRev": "", "cameraData": entries, "hardwareConf": "",

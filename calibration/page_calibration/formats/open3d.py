@@ -88,7 +88,12 @@ def write_parameters(calibration: Calibration) -> str:
 
 
 INTRINSIC = Format(
-    "open3d", "Open3D intrinsics (camera_intrinsic.json)", ".json", recognises_intrinsic, read_intrinsic, write_intrinsic
+    "open3d",
+    "Open3D intrinsics (camera_intrinsic.json)",
+    ".json",
+    recognises_intrinsic,
+    read_intrinsic,
+    write_intrinsic,
 )
 PARAMETERS = Format(
     "open3d-parameters", "Open3D camera parameters", ".json", recognises_parameters, read_parameters, write_parameters

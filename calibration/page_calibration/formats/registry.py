@@ -51,7 +51,9 @@ def _read(document: Document) -> Calibration:
     for format in FORMATS:
         if format.recognises(document):
             read = format.read(document)
-            calibration = Calibration(read.cameras, Provenance(format.title, document.path.name, read.notes, read.warnings))
+            calibration = Calibration(
+                read.cameras, Provenance(format.title, document.path.name, read.notes, read.warnings)
+            )
             warnings = (*read.warnings, *lens_warnings(calibration))
             return replace(calibration, provenance=replace(calibration.provenance, warnings=warnings))
     raise CalibrationError(f"{document.path}: {_what_it_may_be(document)}")
@@ -60,7 +62,10 @@ def _read(document: Document) -> Calibration:
 def _what_it_may_be(document: Document) -> str:
     understood = f"understood are camera.json and {', '.join(format.title for format in FORMATS)}"
     if document.has("rows", "cols", "data"):
-        return "one matrix without a name, a pose rather than a camera (page-calibrate hand-eye takes ViSP's); " + understood
+        return (
+            "one matrix without a name, a pose rather than a camera (page-calibrate hand-eye takes ViSP's); "
+            + understood
+        )
     lines = [line for line in document.text.splitlines() if line and not line.startswith("#")]
     try:
         for line in lines:
@@ -111,7 +116,9 @@ def written(calibration: Calibration, name: str) -> Written:
             left_out.append(f"the name {camera.frame!r}, now {again[i].frame!r}")
         is_alone = camera.world_frame == camera.frame and again[i].world_frame == again[i].frame
         if again[i].world_frame != camera.world_frame and not is_alone:
-            left_out.append(f"the name of {camera.frame!r}'s world, {camera.world_frame!r}, now {again[i].world_frame!r}")
+            left_out.append(
+                f"the name of {camera.frame!r}'s world, {camera.world_frame!r}, now {again[i].world_frame!r}"
+            )
         if camera.deviations is not None:
             left_out.append(f"the standard deviations of {camera.frame!r}")
     return Written(text, tuple(lost), tuple(left_out))

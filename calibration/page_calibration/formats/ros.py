@@ -1,8 +1,8 @@
 """ROS camera_info: the YAML of camera_calibration_parsers, the message as YAML or JSON, and Videre's INI.
 
-K and D are the raw picture's. R turns the camera into the rectified pair's axes, P projects from the pair's common frame
-into the rectified picture, P[3] = -f B for the right one: X_rectified = R X_camera = X_pair + (P[3] / P[0], 0, 0). So a
-camera's place in the pair is exact; P's own focal length belongs to the rectified picture and is only noted.
+K and D are the raw picture's. R turns the camera into the rectified pair's axes, P projects from the pair's common
+frame into the rectified picture, P[3] = -f B for the right one:
+X_rectified = R X_camera = X_pair + (P[3] / P[0], 0, 0). So a camera's place in the pair is exact; P's own focal length belongs to the rectified picture and is only noted.
 Sources: sensor_msgs/CameraInfo; image_common, camera_calibration_parsers.
 """
 
@@ -113,13 +113,13 @@ def _size(document: Document, data: dict[str, Any], width: str, height: str) -> 
     values = (number(data.get(name), where=f"{document.path}, {name}") for name in (width, height))
     w, h = (int(value) for value in values)
     if (w, h) == (0, 0):
-        raise CalibrationError(f"{document.path}: the size is 0x0: the driver sent camera_info of an uncalibrated camera")
+        raise CalibrationError(
+            f"{document.path}: the size is 0x0: the driver sent camera_info of an uncalibrated camera"
+        )
     return document.size_of((w, h))
 
 
-def _read(
-    values: dict[str, list[float]], frame: str, model: str, size: tuple[int, int], *, where: str
-) -> Read:
+def _read(values: dict[str, list[float]], frame: str, model: str, size: tuple[int, int], *, where: str) -> Read:
     K = matrix(values.get("K", []), 3, 3, where=f"{where}, K")
     if not K.any():
         raise CalibrationError(f"{where}: K is all zeros, which in ROS means that the camera is not calibrated")
@@ -152,8 +152,12 @@ def _place(values: dict[str, list[float]], *, where: str) -> tuple[Array | None,
 
 def _delivered(read: Read, data: dict[str, Any], *, where: str) -> Read:
     roi = data.get("roi") or {}
-    x, y, width, height = (int(roi.get(name, 0)) for name in ("x_offset", "y_offset", "width", "height"))
-    binning = [max(1, int(data.get(f"binning_{axis}", 0) or 1)) for axis in "xy"]
+    x, y, width, height = (
+        int(number(roi.get(name, 0), where=f"{where}, roi.{name}")) for name in ("x_offset", "y_offset", "width", "height")
+    )
+    binning = [
+        max(1, int(number(data.get(f"binning_{axis}", 0), where=f"{where}, binning_{axis}"))) for axis in "xy"
+    ]
     if not any((x, y, width, height)) and binning == [1, 1]:
         return read
     calibrated = read.cameras[0]
@@ -171,7 +175,9 @@ def _fields(camera: CalibratedCamera) -> tuple[dict[str, list[float]], str]:
     coefficients = lens.coefficients.tolist()
     if lens.model == "brown-conrady":
         if len(coefficients) > 8 and any(coefficients[8:]):
-            raise CalibrationError(f"ROS has no thin prisms and tilts; {camera.frame!r} has {len(coefficients)} coefficients")
+            raise CalibrationError(
+                f"ROS has no thin prisms and tilts; {camera.frame!r} has {len(coefficients)} coefficients"
+            )
         kept = 5 if not any(coefficients[5:]) else 8
         coefficients = (coefficients + [0.0] * kept)[:kept]
         model = "rational_polynomial" if kept == 8 else "plumb_bob"
