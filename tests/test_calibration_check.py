@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from page_calibration.calibration import CalibratedCamera, Calibration, Provenan
 from page_calibration.camera_json import to_json
 from page_calibration.check import check_pair
 from page_calibration.cli import main
+from page_calibration.epipolar_check import check_stereo
 from page_calibration.registered_check import check_frames
 from page_runtime import RgbdFrame, open_source
 from page_runtime.camera import Camera
@@ -131,6 +133,35 @@ def test_a_camera_that_stands_still_says_that_its_K_was_not_judged() -> None:
     finding = check_frames([replaced(walk()[0], np.eye(4))])
     assert finding.fault == "none"
     assert "K and places cannot be judged" in finding.words
+
+
+@cache
+def stereo_pictures() -> tuple[RawCamera, RawCamera, np.ndarray, np.ndarray]:
+    """Two cameras with lenses and unequal K before a slanted wall of blobs."""
+    rng = np.random.default_rng(0)
+    wall = cv2.GaussianBlur(rng.uniform(0, 255, (900, 1200)).astype(np.float32), (0, 0), 5.0)
+    wall = cv2.normalize(wall, None, 0, 255, cv2.NORM_MINMAX)
+    T_wall_a = transform_from(rotation_about(np.array([0.2, 1.0, 0.0]), 0.5), np.array([0.6, 0.45, -1.1]))
+    seen = []
+    left = RawCamera(DEPTH.camera, DEPTH.distortion)
+    for raw in (left, COLOR):
+        rows, columns = np.mgrid[: raw.camera.height, : raw.camera.width]
+        T = T_wall_a @ invert(raw.camera.T_camera_world)
+        directions = raw.rays(np.stack([columns, rows], axis=-1).astype(float)) @ T[:3, :3].T
+        hit = T[:3, 3] - directions * (T[2, 3] / directions[..., 2])[..., None]
+        seen.append(cv2.remap(wall, (hit[..., :2] * 1000).astype(np.float32), None, cv2.INTER_LINEAR).astype(np.uint8))
+    return left, COLOR, seen[0], seen[1]
+
+
+def test_a_stereo_pair_is_judged_by_its_epipolar_lines() -> None:
+    a, b, gray_a, gray_b = stereo_pictures()
+    right = check_stereo(a, b, [(gray_a, gray_b)])
+    assert (right.fault, "the calibration fits" in right.words) == ("none", True), right.words
+    inverted = check_stereo(a, moved(invert(T_COLOR_DEPTH)), [(gray_a, gray_b)])
+    assert (inverted.fault, "inverted" in inverted.words) == ("extrinsics", True), inverted.words
+    resized = check_stereo(a, with_K(b, size=2.0), [(gray_a, gray_b)])
+    assert resized.fault == "resolution", resized.words
+    assert check_stereo(a, b, [(gray_a, np.full_like(gray_b, 90))]).fault is None
 
 
 def write_raw(folder: Path, frames: tuple[tuple[np.ndarray, np.ndarray], ...]) -> Path:

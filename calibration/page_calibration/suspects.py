@@ -32,8 +32,9 @@ class Suspect:
     focal: float = 1.0
 
 
-def suspects(depth: RawCamera, color: RawCamera) -> Iterator[Suspect]:
-    """The calibration as given first, then each usual mistake undone."""
+def suspects(depth: RawCamera, color: RawCamera, *, names: tuple[str, str] = ("depth", "colour")) -> Iterator[Suspect]:
+    """The calibration as given first, then each usual mistake undone. names: of the cameras, in words."""
+    first, second = names
     yield Suspect("none", "as given", depth, color)
     T = color.camera.T_camera_world @ invert(depth.camera.T_camera_world)
     yield Suspect("extrinsics", "the extrinsics are inverted", depth, _at(color, depth, invert(T)))
@@ -47,12 +48,12 @@ def suspects(depth: RawCamera, color: RawCamera) -> Iterator[Suspect]:
         yield Suspect("unit", f"the translation is in another unit: {words}", depth, _at(color, depth, scaled))
     for scale in RESOLUTIONS:
         words = f"K is of another resolution, {1 / scale:.3g} times the picture's"
-        yield Suspect("resolution", f"the colour camera's {words}", depth, _resized(color, scale))
-        yield Suspect("resolution", f"the depth camera's {words}", _resized(depth, scale), color)
+        yield Suspect("resolution", f"the {second} camera's {words}", depth, _resized(color, scale))
+        yield Suspect("resolution", f"the {first} camera's {words}", _resized(depth, scale), color)
     for focal in FOCALS:
         if focal != 1.0:
             amount = f"{abs(1 / focal - 1) * 100:.1f} % too {'long' if focal < 1 else 'short'}"
-            words = f"the colour camera's focal length is {amount}, or the depth camera's as much the other way"
+            words = f"the {second} camera's focal length is {amount}, or the {first} camera's as much the other way"
             yield Suspect("focal", words, depth, _zoomed(color, focal), float(focal))
 
 

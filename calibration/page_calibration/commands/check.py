@@ -10,18 +10,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from page_calibration.calibration import Calibration, CalibrationError
 from page_calibration.check import Finding, Picture, check_pair
 from page_calibration.commands.inputs import warn, write_text
 from page_calibration.edges import depth_outlines
+from page_calibration.epipolar_check import check_stereo
 from page_calibration.formats.registry import read_calibration
 from page_calibration.raw_recording import RawRecording, open_raw
 from page_calibration.registered_check import check_frames
 from page_calibration.report import bars, image, note, page, table
 from page_calibration.suspects import Suspect
+from page_runtime.capture.documents import pictures as pictures_in
 from page_runtime.capture.playback import open_source
 from page_runtime.commands.outputs import require_file_place
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import apply, invert
+from page_runtime.image_files import read_color
 from page_runtime.lens import RawCamera
 
 # Frames looked at, spread over the recording.
@@ -35,7 +39,10 @@ def check(path: Path, *, camera: Path | None, frames: tuple[str, str], report: P
     if calibration is not None:
         warn(calibration)
     pictures: list[str] = []
-    if calibration is not None and set(frames) <= set(calibration.frames):
+    is_stereo = all((path / frame).is_dir() for frame in frames) and frames[1] != "depth"
+    if calibration is not None and is_stereo:
+        finding = _stereo(path, calibration, frames)
+    elif calibration is not None and set(frames) <= set(calibration.frames):
         recording = open_raw(path, calibration, color=frames[0], depth=frames[1])
         finding, pictures = _raw(recording)
     else:
@@ -68,6 +75,29 @@ def _raw(recording: RawRecording) -> tuple[Finding, list[str]]:
     return finding, drawn
 
 
+def _stereo(path: Path, calibration: Calibration, frames: tuple[str, str]) -> Finding:
+    """Two folders of pictures, named like their cameras; pictures of one moment have one name."""
+    calibration.transform(*frames)
+    first, second = (pictures_in(path / frame) for frame in frames)
+    names = [name for name in first if name in second]
+    if not names:
+        raise CalibrationError(f"{path}: no picture of {frames[0]}/ has a partner of its name in {frames[1]}/")
+    grays = []
+    for name in (names[i] for i in _spread(len(names))):
+        pair = []
+        for folder, frame in ((first, frames[0]), (second, frames[1])):
+            gray = np.asarray(cv2.cvtColor(read_color(folder[name]), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+            camera = calibration[frame].camera
+            if gray.shape != (camera.height, camera.width):
+                raise CalibrationError(
+                    f"{folder[name]} is {gray.shape[1]}x{gray.shape[0]}, but {frame!r} was calibrated at "
+                    f"{camera.width}x{camera.height}; K belongs to one resolution (page-calibrate convert --delivered)"
+                )
+            pair.append(gray)
+        grays.append((pair[0], pair[1]))
+    return check_stereo(calibration[frames[0]].raw, calibration[frames[1]].raw, grays)
+
+
 def _drawn(picture: Picture, suspect: Suspect, caption: str) -> str:
     color, depth_m = picture
     points = apply(invert(suspect.depth.camera.T_camera_world), depth_outlines(depth_m).points(suspect.depth))
@@ -94,5 +124,5 @@ def report_of(path: Path, finding: Finding, pictures: list[str]) -> str:
         names, values = [name for name, _ in finding.scores], np.array([max(score, 0.0) for _, score in finding.scores])
         sections.append(("What if", table([(n, f"{v:.2f}") for n, v in zip(names, values, strict=True)])))
         sections.append(("", bars(["as given", "the best"], np.array([values[0], values.max()]), unit="of the best")))
-    sections.append(("Figures", note(f"{finding.outlines} outline points.")))
+    sections.append(("Figures", note(f"{finding.outlines} points.")))
     return page(f"Calibration against {path.name}", finding.words, sections, is_good=finding.fault == "none")

@@ -1,8 +1,9 @@
 """ROS camera_info: the YAML of camera_calibration_parsers, the message as YAML or JSON, and Videre's INI.
 
 K and D are the raw picture's. R turns the camera into the rectified pair's axes, P projects from the pair's common
-frame into the rectified picture, P[3] = -f B for the right one:
-X_rectified = R X_camera = X_pair + (P[3] / P[0], 0, 0). So a camera's place in the pair is exact; P's own focal length belongs to the rectified picture and is only noted.
+frame into the rectified picture, and P[3] = -f B for the right one:
+X_rectified = R X_camera = X_pair + (P[3] / P[0], 0, 0).
+So a camera's place in the pair is exact; P's own focal length belongs to the rectified picture and is only noted.
 Sources: sensor_msgs/CameraInfo; image_common, camera_calibration_parsers.
 """
 
@@ -153,11 +154,10 @@ def _place(values: dict[str, list[float]], *, where: str) -> tuple[Array | None,
 def _delivered(read: Read, data: dict[str, Any], *, where: str) -> Read:
     roi = data.get("roi") or {}
     x, y, width, height = (
-        int(number(roi.get(name, 0), where=f"{where}, roi.{name}")) for name in ("x_offset", "y_offset", "width", "height")
+        int(number(roi.get(name, 0), where=f"{where}, roi.{name}"))
+        for name in ("x_offset", "y_offset", "width", "height")
     )
-    binning = [
-        max(1, int(number(data.get(f"binning_{axis}", 0), where=f"{where}, binning_{axis}"))) for axis in "xy"
-    ]
+    binning = [max(1, int(number(data.get(f"binning_{axis}", 0), where=f"{where}, binning_{axis}"))) for axis in "xy"]
     if not any((x, y, width, height)) and binning == [1, 1]:
         return read
     calibrated = read.cameras[0]
