@@ -9,7 +9,7 @@ import numpy as np
 
 from page_calibration.board import Board
 from page_runtime.geometry import Array, invert, rotation_about, transform_from
-from page_runtime.lens import RawCamera
+from page_runtime.lens import RawCamera, sampled
 
 PIXELS_PER_SQUARE = 64
 
@@ -41,14 +41,7 @@ def render_board(
         hit = origin[:2] + distance[..., None] * directions[..., :2]
     # A pixel's centre is at integers, a texel's too: the board's edge is half a texel before the first.
     texel = np.where((distance > 0)[..., None], hit / board.square_m * PIXELS_PER_SQUARE - 0.5, -1e4)
-    picture = cv2.remap(
-        texture(board),
-        texel.astype(np.float32),
-        None,
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(210,),
-    )
+    picture = sampled(texture(board), texel, outside=210.0)
     inside = ((texel > -0.5) & (texel < [board.columns * PIXELS_PER_SQUARE, board.rows * PIXELS_PER_SQUARE])).all(
         axis=-1
     )

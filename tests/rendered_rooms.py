@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from page_runtime.camera import Camera
@@ -33,7 +35,7 @@ def random_room(rng: np.random.Generator, boxes: int = 14) -> list[tuple[Array, 
 
 
 def look(
-    room: list[tuple[Array, Array, Array]], raw: RawCamera, rng: np.random.Generator
+    room: Sequence[tuple[Array, Array, Array]], raw: RawCamera, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """(color (H,W,3) uint8, depth_m (H,W) float32) as `raw` sees the room; a soft pattern is on everything."""
     height, width = raw.camera.height, raw.camera.width

@@ -21,7 +21,7 @@ from page_runtime import RgbdFrame, open_source
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, invert, rotation_about, transform_from
 from page_runtime.image_files import write_color, write_depth
-from page_runtime.lens import RawCamera
+from page_runtime.lens import RawCamera, sampled
 from rendered_rooms import T_COLOR_DEPTH, look, random_room, rig
 
 DEPTH, COLOR = rig()
@@ -140,7 +140,7 @@ def stereo_pictures() -> tuple[RawCamera, RawCamera, np.ndarray, np.ndarray]:
     """Two cameras with lenses and unequal K before a slanted wall of blobs."""
     rng = np.random.default_rng(0)
     wall = cv2.GaussianBlur(rng.uniform(0, 255, (900, 1200)).astype(np.float32), (0, 0), 5.0)
-    wall = cv2.normalize(wall, None, 0, 255, cv2.NORM_MINMAX)
+    wall = (wall - wall.min()) * (255.0 / np.ptp(wall))
     T_wall_a = transform_from(rotation_about(np.array([0.2, 1.0, 0.0]), 0.5), np.array([0.6, 0.45, -1.1]))
     seen = []
     left = RawCamera(DEPTH.camera, DEPTH.distortion)
@@ -149,7 +149,7 @@ def stereo_pictures() -> tuple[RawCamera, RawCamera, np.ndarray, np.ndarray]:
         T = T_wall_a @ invert(raw.camera.T_camera_world)
         directions = raw.rays(np.stack([columns, rows], axis=-1).astype(float)) @ T[:3, :3].T
         hit = T[:3, 3] - directions * (T[2, 3] / directions[..., 2])[..., None]
-        seen.append(cv2.remap(wall, (hit[..., :2] * 1000).astype(np.float32), None, cv2.INTER_LINEAR).astype(np.uint8))
+        seen.append(sampled(wall, hit[..., :2] * 1000).astype(np.uint8))
     return left, COLOR, seen[0], seen[1]
 
 

@@ -19,7 +19,7 @@ from page_calibration.calibration import CalibratedCamera, Calibration, Calibrat
 from page_calibration.formats.registry import NAMES, read_calibration, same_lens, written
 from page_runtime.camera import Camera
 from page_runtime.geometry import invert, orthonormalized, rotation_about, transform_from
-from page_runtime.lens import Distortion, RawCamera
+from page_runtime.lens import Distortion, DistortionModel, RawCamera
 
 K = np.array([[612.25, 0.0, 318.4], [0.0, 611.875, 241.7], [0.0, 0.0, 1.0]])
 SMALL = ("none", ()), ("brown-conrady", (0.11, -0.23, 0.0007, -0.0004)), ("kannala-brandt", (0.01, 0.02, -0.01, 0.002))
@@ -240,7 +240,8 @@ def drawn(
     rng: np.random.Generator, frame: str, world: str, T: np.ndarray, lens: str, **changes: Any
 ) -> CalibratedCamera:
     counts = {"none": 0, "radtan": 4, "plumb-bob": 5, "rational": 8, "tilted": 14, "fisheye": 4}
-    model = {"none": "none", "fisheye": "kannala-brandt"}.get(lens, "brown-conrady")
+    models: dict[str, DistortionModel] = {"none": "none", "fisheye": "kannala-brandt"}
+    model = models.get(lens, "brown-conrady")
     coefficients = rng.uniform(-0.004, 0.004, counts[lens])
     width, height = (int(v) for v in rng.integers(200, 2000, 2))
     f = rng.uniform(0.7, 1.5) * max(width, height)

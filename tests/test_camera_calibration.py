@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -23,7 +24,6 @@ from page_calibration.stereo import calibrate_stereo
 from page_calibration.views import distinct_views
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, apply, invert, rotation_about, rotation_angle, transform_from
-from page_runtime.image_files import write_color
 from page_runtime.lens import Distortion, RawCamera
 from rendered_boards import board_places, render_board
 
@@ -52,7 +52,12 @@ def calibrated() -> IntrinsicCalibration:
 
 
 def drawn_views(
-    rng: np.random.Generator, places: list[Array], raw: RawCamera = TRUE, *, noise: float = 0.05, shared: float = 0.1
+    rng: np.random.Generator,
+    places: Sequence[Array],
+    raw: RawCamera = TRUE,
+    *,
+    noise: float = 0.05,
+    shared: float = 0.1,
 ) -> list[View]:
     """Corners as projected, with noise of each corner and errors that all corners of a view share."""
     found = []
@@ -251,8 +256,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("boards") / "pictures"
     path.mkdir()
     for i, (_, picture) in enumerate(pictures()):
-        write_color(path / f"{i:02d}.png", np.repeat(picture[..., None], 3, axis=2))
-    write_color(path / "empty.png", np.full((*SIZE[::-1], 3), 90, np.uint8))
+        cv2.imwrite(str(path / f"{i:02d}.png"), picture)
+    cv2.imwrite(str(path / "empty.png"), np.full(SIZE[::-1], 90, np.uint8))
     return path
 
 

@@ -16,7 +16,7 @@ from page_runtime.camera import Camera
 from page_runtime.depth_registration import Registration, register_depth, registered_frame, registration_between
 from page_runtime.geometry import Array, apply, invert, rotation_about, transform_from
 from page_runtime.image_files import write_color, write_depth
-from page_runtime.lens import Distortion, RawCamera
+from page_runtime.lens import Distortion, RawCamera, sampled
 from page_runtime.pose import PartPose
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,7 +83,7 @@ def test_registered_depth_of_a_slanted_plane_is_exact_between_the_sensors_pixels
 
 
 def test_it_is_nearer_to_the_truth_than_opencvs_rounding_alone() -> None:
-    nearest = cv2.remap(sensor_depth(), registration().depth_map, None, cv2.INTER_NEAREST)
+    nearest = sampled(sensor_depth(), registration().depth_map, nearest=True)
     rounded = cv2.registerDepth(
         DEPTH.camera.K, COLOR.camera.K, np.zeros(4), T_COLOR_DEPTH, np.where(nearest > 0, nearest, np.nan), (960, 540),
         depthDilation=True,
@@ -111,7 +111,7 @@ def test_each_pixel_shows_the_nearest_surface_its_ray_meets() -> None:
     free = ~outside & ~shadow & (registered > 0)
     assert free.mean() > 0.6
     np.testing.assert_allclose(registered[free], true_registered()[free], rtol=5e-3)
-    assert not registered[shadow & ~outside & (cv2.erode(shadow.astype(np.uint8), np.ones((9, 9))) > 0)].any()
+    assert not registered[shadow & ~outside & (cv2.erode(np.asarray(shadow, np.uint8), np.ones((9, 9))) > 0)].any()
 
 
 def _raw_depth_pixel(z: Array) -> Array:
@@ -158,7 +158,7 @@ def test_a_spot_goes_from_raw_pixels_through_registration_crop_and_resize_to_its
     assert np.linalg.norm(center - expected) / 4.0 < 0.1  # 4 of these pixels are one of the colour camera's
     column, row = np.rint(crop.project(point_depth)).astype(int)
     depth = cv2.resize(frame.depth_m[y : y + 50, x : x + 60], (240, 200), interpolation=cv2.INTER_LINEAR)
-    found = crop.backproject(crop.project(point_depth), depth[row, column])
+    found = crop.backproject(crop.project(point_depth), np.asarray(depth[row, column], dtype=float))
     assert np.linalg.norm(found - point_color) < 1e-3
     np.testing.assert_allclose(apply(invert(T_COLOR_DEPTH), found), point_depth, atol=1e-3)
 

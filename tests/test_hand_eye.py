@@ -31,7 +31,7 @@ def session(
     rng = np.random.default_rng(seed)
     T_hand_camera, T_base_target = random_pose(rng, 3.0, 0.1), random_pose(rng, 3.0, 0.6)
     hands = [random_pose(rng, 0.9, 0.4) for _ in range(poses)]
-    targets = [
+    targets: list[Array] = [
         transform_from(rotation_about(rng.normal(size=3), turn * rng.normal()), shift * rng.normal(size=3))
         @ invert(T @ T_hand_camera)
         @ T_base_target

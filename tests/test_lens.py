@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from page_runtime.camera import Camera
 from page_runtime.geometry import rotation_about, transform_from
-from page_runtime.lens import NO_DISTORTION, Distortion, RawCamera
+from page_runtime.lens import NO_DISTORTION, Distortion, RawCamera, sampled
 
 K = np.array([[612.0, 0.0, 318.4], [0.0, 611.0, 241.7], [0.0, 0.0, 1.0]])
 BROWN = Distortion("brown-conrady", np.array([-0.28, 0.11, 0.0012, -0.0008, -0.02]))
@@ -49,8 +49,8 @@ def test_every_pixel_has_the_ray_that_is_seen_at_it_or_none(seed: int) -> None:
         lens = Distortion("brown-conrady", rng.uniform(-0.3, 0.3, 5) * [1, 1, 0.01, 0.01, 0.3])
     pixels = rng.uniform(0, 1, (200, 2)) * [640, 480]
     rays = raw(lens).rays(pixels)
-    has = ~np.isnan(rays).any(axis=-1)
-    assert has[np.linalg.norm(pixels - K[:2, 2], axis=1) < 200].all()
+    has = np.isfinite(rays).all(axis=-1)
+    assert np.isfinite(rays[np.linalg.norm(pixels - K[:2, 2], axis=1) < 200]).all()
     np.testing.assert_allclose(raw(lens).pixels(rays[has, :2]), pixels[has], atol=1e-4)
 
 
@@ -97,7 +97,7 @@ def test_an_undistorted_picture_shows_points_where_the_pinhole_projects_them(len
     rows, columns = np.mgrid[:480, :640]
     u, v = raw(lens).project(point)
     picture = np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / 18.0).astype(np.float32)
-    flat = cv2.remap(picture, raw(lens).pixel_map(raw(lens).camera), None, cv2.INTER_LINEAR)
+    flat = sampled(picture, raw(lens).pixel_map(raw(lens).camera))
     weight = flat**4
     center = np.array([(columns * weight).sum(), (rows * weight).sum()]) / weight.sum()
     np.testing.assert_allclose(center, raw(lens).camera.project(point), atol=0.15)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime.geometry import Array
-from page_runtime.lens import RawCamera
+from page_runtime.lens import RawCamera, sampled
 
 # A jump between neighbouring readings that no surface makes which is seen at less than 80 degrees.
 MIN_JUMP_M = 0.03
@@ -86,5 +86,5 @@ def color_edge_distance(color: NDArray[np.uint8]) -> NDArray[np.float32]:
 def agreement(distance: NDArray[np.float32], pixels: Array, *, sigma_px: float) -> float:
     """Mean over pixels (n,2) of exp(-d^2 / 2 sigma^2), d their distance to an edge; 0 for pixels outside."""
     seen = np.nan_to_num(pixels, nan=-1e3, posinf=-1e3, neginf=-1e3).astype(np.float32)
-    d = cv2.remap(distance, seen[None], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e3,))
+    d = sampled(distance, seen[None], outside=1e3)
     return float(np.exp(-0.5 * (d / sigma_px) ** 2).mean())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, invert
-from page_runtime.lens import RawCamera
+from page_runtime.lens import RawCamera, sampled
 
 # Four readings are one surface when their 1/z differ by less than this share: 45 degrees at f = 300 px is 0.5 %, two
 # surfaces of an object stand farther apart.
@@ -71,9 +71,7 @@ def register_depth(registration: Registration, depth_m: NDArray[np.float32]) -> 
     """
     _require_picture(depth_m, registration.depth.camera, np.float32, "depth_m")
     nearest = (
-        depth_m
-        if registration.depth.distortion.is_none
-        else cv2.remap(depth_m, registration.depth_map, None, cv2.INTER_NEAREST, borderValue=0)
+        depth_m if registration.depth.distortion.is_none else sampled(depth_m, registration.depth_map, nearest=True)
     )
     camera = registration.camera
     registered = cv2.registerDepth(
@@ -111,11 +109,11 @@ def _between_readings(
             x, y = (found * ray_x + x0) * scale, (found * ray_y + y0) * scale
             u, v = K[0, 0] * x + K[0, 1] * y + K[0, 2], K[1, 1] * y + K[1, 2]
         if not raw.distortion.is_none:
-            pinhole = np.stack([u, v], axis=-1)
-            u, v = cv2.split(cv2.remap(registration.depth_map, pinhole, None, cv2.INTER_LINEAR, borderValue=(-1, -1)))
-        u, v = np.nan_to_num(u, nan=-1.0), np.nan_to_num(v, nan=-1.0)
-        read = cv2.remap(inverse, u, v, cv2.INTER_LINEAR, borderValue=0)
-        inside = cv2.remap(one_surface, np.floor(u), np.floor(v), cv2.INTER_NEAREST, borderValue=0) > 0
+            pixels = sampled(registration.depth_map, np.stack([u, v], axis=-1), outside=-1.0)
+            u, v = pixels[..., 0], pixels[..., 1]
+        at = np.nan_to_num(np.stack([u, v], axis=-1), nan=-1.0)
+        read = sampled(inverse, at)
+        inside = sampled(one_surface, np.floor(at), nearest=True) > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             moved = (row[0] * x + row[1] * y + row[2]) / read + row[3]
             accepted = inside & (found > 0) & (np.abs(moved - z) <= SAME_SURFACE * z)
@@ -128,7 +126,7 @@ def undistort_color(registration: Registration, color: NDArray[np.uint8]) -> NDA
     _require_picture(color, registration.color.camera, np.uint8, "color")
     if registration.color.distortion.is_none:
         return color
-    return np.asarray(cv2.remap(color, registration.color_map, None, cv2.INTER_LINEAR), dtype=np.uint8)
+    return sampled(color, registration.color_map)
 
 
 def registered_frame(

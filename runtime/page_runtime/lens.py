@@ -7,10 +7,12 @@ the map between their pixels and rays. Pixels and axes are those of camera.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.polynomial.polynomial import polyval
+from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, rotation_about
@@ -118,11 +120,11 @@ class Distortion:
             moved[worse] = self.distorted(proposed[worse]) - wanted[left][worse]
             found[left], residual[left] = proposed, moved
         _, is_upright = self._step(found, residual)
-        lost = ~(np.abs(residual).max(axis=1) < _FOUND) | ~is_upright
+        lost = ~((np.abs(residual).max(axis=1) < _FOUND) & is_upright)
         found[lost] = np.nan
         return found
 
-    def _step(self, at: Array, residual: Array) -> tuple[Array, Array]:
+    def _step(self, at: Array, residual: Array) -> tuple[Array, NDArray[np.bool_]]:
         """(Newton's step (n,2), whether the Jacobian neither mirrors nor turns round (n,)), central differences."""
         columns = [
             (self.distorted(at + shift) - self.distorted(at - shift)) / (2 * _STEP) for shift in _STEP * np.eye(2)
@@ -155,6 +157,13 @@ def _tilted(u: Array, v: Array, tau_x: float, tau_y: float) -> tuple[Array, Arra
     onto = np.array([[R[2, 2], 0.0, -R[0, 2]], [0.0, R[2, 2], -R[1, 2]], [0.0, 0.0, 1.0]]) @ R
     tilted = np.stack([u, v, np.ones_like(u)], axis=-1) @ onto.T
     return tilted[..., 0] / tilted[..., 2], tilted[..., 1] / tilted[..., 2]
+
+
+def sampled(picture: NDArray[Any], pixels: Array, *, nearest: bool = False, outside: float = 0.0) -> NDArray[Any]:
+    """Values of `picture` (H,W) or (H,W,c) at pixels (h,w,2): between four, or the nearest one; `outside` beyond it."""
+    u, v = (np.ascontiguousarray(pixels[..., i], dtype=np.float32) for i in (0, 1))
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    return np.asarray(cv2.remap(picture, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=(outside,) * 4))
 
 
 NO_DISTORTION = Distortion()
@@ -191,7 +200,7 @@ class RawCamera:
         return self.rays(pixels) * np.asarray(depth_m)[..., None]
 
     def pixel_map(self, pinhole: Camera) -> Array:
-        """(H,W,2) float32 for cv2.remap: the raw pixel that each pixel of `pinhole`, at the same place, shows."""
+        """(H,W,2) float32 for `sampled`: the raw pixel that each pixel of `pinhole`, at the same place, shows."""
         rows, columns = np.mgrid[: pinhole.height, : pinhole.width]
         rays = pinhole.rays(np.stack([columns, rows], axis=-1).astype(float))
         return self.pixels(rays[..., :2]).astype(np.float32)
