@@ -26,8 +26,8 @@ MODULES = {"convert": "record"}
 LAYOUTS = ("recording", "mcap", "ros2-mcap", "ros2-sqlite3", "tum", "pictures", "video")
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors as main() does: one sentence, without the usage text before it."""
+class Parser(argparse.ArgumentParser):
+    """Reports errors as a sentence, without the usage text before it."""
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message}; see {self.prog} --help")
@@ -108,7 +108,7 @@ def _termination_as_interrupt() -> Iterator[None]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
+    parser = Parser(prog="page-runtime", description="The 6D pose of every part of articulated objects in RGB-D.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
     def command(name: str, description: str, given: str, meaning: str, kind: type = str) -> argparse.ArgumentParser:

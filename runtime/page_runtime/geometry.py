@@ -56,6 +56,12 @@ def rotation_about(axis: Array, angle_rad: float) -> Array:
     return np.eye(3) + np.sin(angle_rad) * skew + (1.0 - np.cos(angle_rad)) * (skew @ skew)
 
 
+def orthonormalized(T_a_b: Array) -> Array:
+    """T_a_b (4,4) with the rotation nearest to its own (Frobenius norm), as rounded to float32 or text it needs."""
+    U, _, Vt = np.linalg.svd(T_a_b[:3, :3])
+    return transform_from(U @ Vt, T_a_b[:3, 3])
+
+
 def require_rigid(T_a_b: Array, *, name: str) -> Array:
     """T_a_b unchanged as float64 (4,4), or a ValueError saying how it is not a rigid transform."""
     T = np.asarray(T_a_b, dtype=float)

@@ -1,0 +1,1 @@
+"""Calibrations as other programs write them, one module a format; `registry` chooses."""
