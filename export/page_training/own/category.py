@@ -35,7 +35,7 @@ Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
 SCALE_SIGMA = 0.02
 _MOST_SCALE = 3.0
-_MEASURED = 200
+_MEASURED = 48
 _STATE_TRIES = 30
 _FRAME = "origin: centre of the part's box, all joints at 0; axes: those of the model's root, all joints at 0 too"
 
