@@ -166,8 +166,8 @@ def test_a_joint_file_says_what_it_means(cupboard: Path) -> None:
     np.testing.assert_allclose(opened[:3, 3], hinge + turn @ (closed[:3, 3] - hinge), atol=1e-6)
 
 
-def test_an_own_category_is_used_as_any_other(own_crane: OwnCategory, tmp_path: Path) -> None:
-    assert own_crane.models
+@pytest.mark.usefixtures("own_crane")
+def test_an_own_category_is_used_as_any_other(tmp_path: Path) -> None:
     assert "crane" in known_categories()
     category = category_named("crane")
     assert not category.joints_mirror
@@ -212,7 +212,8 @@ def test_a_category_read_back_makes_the_same_scenes(own_crane: OwnCategory) -> N
     np.testing.assert_allclose(again.T_part_link["mast"]["lamp"], own_crane.T_part_link["mast"]["lamp"])
 
 
-def test_what_stands_does_not_reach_below_its_foot(own_crane: OwnCategory) -> None:
+@pytest.mark.usefixtures("own_crane")
+def test_what_stands_does_not_reach_below_its_foot() -> None:
     kind, rng = scene_category("crane"), np.random.default_rng(3)
     for _ in range(10):
         model = kind.sample_object(rng)
@@ -325,7 +326,8 @@ def test_a_joint_file_that_cannot_be_used_says_why(
         read_joint_file(path)
 
 
-def test_a_folder_that_holds_something_else_is_refused(own_crane: OwnCategory) -> None:
+@pytest.mark.usefixtures("own_crane")
+def test_a_folder_that_holds_something_else_is_refused() -> None:
     path = own_folder("crane") / "category.json"
     path.write_text(path.read_text().replace('"version": 1', '"version": 9', 1))
     with pytest.raises(ValueError, match="expected version 1, got 9; make it again"):
