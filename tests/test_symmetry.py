@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from page_runtime.bundle import BundleError, category_document, category_from, with_symmetries
 from page_runtime.category import Category
-from page_runtime.commands.inspect import readable
 from page_runtime.evaluation import joint_errors, nearest_truths, part_errors
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose
@@ -271,16 +270,6 @@ def test_symmetries_travel_with_the_category(name: str) -> None:
     back = category_from(json.loads(json.dumps(category_document(category))))
     assert (back.mirror, back.interchange) == (category.mirror, category.interchange)
     assert [part.symmetry for part in back.parts] == [part.symmetry for part in category.parts]
-
-
-def test_inspect_says_what_looks_the_same() -> None:
-    metadata = Network(ROOT / "runtime/bundles/box.onnx", threads=1).metadata
-    path = ROOT / "runtime/bundles/box.onnx"
-    assert "symmetry " not in readable(metadata, path)
-    told = readable(replace(metadata, category=category_named("arm"), mirrored=False), path)
-    assert "turns by 180 deg about (0.000, 0.000, 1.000) change nothing" in told
-    told = readable(replace(metadata, category=category_named("scissors"), mirrored=False), path)
-    assert "first blade as second blade, second blade as first blade" in told
 
 
 def test_what_was_written_before_symmetries_reads_as_without_any() -> None:
