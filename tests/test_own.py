@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +222,24 @@ def test_what_stands_does_not_reach_below_its_foot() -> None:
         floor = model.parts[0].mesh.vertices[:, 2].min()
         for part, T in zip(model.parts, poses, strict=True):
             assert apply(T, part.mesh.vertices.astype(float))[:, 2].min() > floor - 0.01
+
+
+def test_parts_without_a_joint_between_them_keep_out_of_each_other(crane_model: OwnModel) -> None:
+    """The slide, let down, would stand inside the foot in many of the states that the joints allow."""
+    turn, lift, reach = crane_model.joints
+    folding = (turn, replace(lift, limits=(-1.75, -1.2)), replace(reach, limits=(0.0, 0.2)))
+    own = own_category("folding", [replace(crane_model, joints=folding)], rest="any", scale_sigma=0.0)
+    rng = np.random.default_rng(0)
+    model = own.sample_object(rng)
+
+    def inside(states: tuple[float, ...]) -> bool:
+        poses = model.poses(np.eye(4), states)
+        points = apply(invert(poses[0]) @ poses[3], model.parts[3].mesh.vertices.astype(float))
+        return bool((np.abs(points) < 0.2 * model.parts[0].extents_m).all(axis=1).any())
+
+    allowed = [tuple(float(rng.uniform(*joint.limits)) for joint in model.joints) for _ in range(60)]
+    assert sum(map(inside, allowed)) > 5
+    assert not any(inside(own.sample_states(rng, model)) for _ in range(60))
 
 
 def test_several_models_make_one_category_and_must_be_alike(
