@@ -11,6 +11,7 @@ import pytest
 import torch
 import trimesh
 import yourdfpy
+from trimesh.visual import ColorVisuals
 
 from page_runtime.geometry import Array, apply, invert, rotation_about
 from page_runtime.symmetry import Symmetry
@@ -88,7 +89,7 @@ def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
         box.export(folder / name)
     knob = trimesh.creation.icosphere(radius=15)
     knob.apply_translation((150, -30, 250))
-    knob.visual = trimesh.visual.ColorVisuals(knob, face_colors=(255, 0, 0, 255))
+    knob.visual = ColorVisuals(knob, face_colors=(255, 0, 0, 255))
     knob.export(folder / "knob.glb")
     (folder / "cupboard.toml").write_text(JOINT_FILE)
     return folder / "cupboard.toml"
