@@ -29,6 +29,12 @@ MAY_IMPORT = {
 }
 HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai"}
 ONLY_IMPORTER = {"onnxruntime": "network.py", "depthai": "capture/oak.py"}
+ONLY_IMPORTER_OF_TRAINING = {
+    "open3d": "scenes/render.py",
+    "trimesh": "own/surfaces.py",
+    "yourdfpy": "own/surfaces.py",
+    "fast_simplification": "own/surfaces.py",
+}
 FOLDERS = {"runtime", "export", "calibration"}
 
 
@@ -77,6 +83,16 @@ def test_a_library_of_the_runtime_has_one_importer(library: str) -> None:
         if library in names_imported(path)
     }
     assert importers <= {ONLY_IMPORTER[library]}
+
+
+@pytest.mark.parametrize("library", sorted(ONLY_IMPORTER_OF_TRAINING))
+def test_a_library_of_the_scenes_has_one_importer(library: str) -> None:
+    importers = {
+        path.relative_to(PACKAGES["page_training"]).as_posix()
+        for path in modules("page_training")
+        if library in names_imported(path)
+    }
+    assert importers == {ONLY_IMPORTER_OF_TRAINING[library]}
 
 
 def test_no_module_is_imported_by_its_folder() -> None:

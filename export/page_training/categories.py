@@ -91,7 +91,7 @@ def _scissors() -> Category:
         "face, so that the {name} blade's tip opens to the {side}; +x: to the right, seen from +z with the tips up"
     )
     place = JointGeometry(
-        (0.32, 0.049, -0.036), (-0.32, 0.049, 0.029), (0.021, 0.083, 0.004), (0.021, 0.082, 0.004), 0.0, 0.018
+        (0.32, 0.049, 0.0), (-0.32, 0.049, 0.0), (0.021, 0.083, 0.004), (0.021, 0.082, 0.004), 0.0, 0.018
     )
     return Category(
         name="scissors",

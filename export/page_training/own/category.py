@@ -17,7 +17,7 @@ import numpy as np
 
 from page_runtime.bundle import BundleError, category_document, category_from
 from page_runtime.category import Category, Joint, Part
-from page_runtime.geometry import Array, transform_from
+from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.symmetry import Symmetry
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
 from page_training.own.model import OwnJoint, OwnModel, OwnPart, Surface
@@ -35,8 +35,10 @@ Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
 SCALE_SIGMA = 0.02
 _MOST_SCALE = 3.0
-_MEASURED = 200
+_MEASURED = 48
 _STATE_TRIES = 30
+_FEW = 60
+_INSIDE = 0.6
 _FRAME = "origin: centre of the part's box, all joints at 0; axes: those of the model's root, all joints at 0 too"
 
 
@@ -78,7 +80,8 @@ class OwnCategory:
         return ArticulatedObject(tuple(parts), tuple(joints))
 
     def sample_states(self, rng: Generator, model: ArticulatedObject) -> States:
-        """Anything the joints allow, now and then at a limit; of what stands no part goes below where it stands."""
+        """Anything the joints allow, now and then at a limit; as far as tries go no part goes deep into another, nor
+        below where the object stands."""
         states: States = ()
         for _ in range(_STATE_TRIES):
             drawn = []
@@ -87,7 +90,8 @@ class OwnCategory:
                 share = float(rng.uniform()) if rng.random() < 0.85 else float(rng.integers(2))
                 drawn.append(low + share * (high - low))
             states = tuple(drawn)
-            if self.rest == "any" or _stands(model, states):
+            poses = model.poses(np.eye(4), states)
+            if (self.rest == "any" or _stands(model, poses)) and _is_clear(model, poses):
                 break
         return states
 
@@ -108,8 +112,7 @@ def _origin(surface: Surface) -> Array:
     return (vertices.min(axis=0) + vertices.max(axis=0)) / 2
 
 
-def _stands(model: ArticulatedObject, states: States) -> bool:
-    poses = model.poses(np.eye(4), states)
+def _stands(model: ArticulatedObject, poses: Sequence[Array]) -> bool:
     floor = float(model.parts[0].mesh.vertices[:, 2].min())
     slack = 0.01 * float(np.linalg.norm(model.parts[0].extents_m))
     lowest = min(
@@ -117,6 +120,20 @@ def _stands(model: ArticulatedObject, states: States) -> bool:
         for part, T in zip(model.parts, poses, strict=True)
     )
     return lowest >= floor - slack
+
+
+def _is_clear(model: ArticulatedObject, poses: Sequence[Array]) -> bool:
+    """Whether no vertex of a part, of a few, lies well inside the box of another that no joint ties to it."""
+    tied = {frozenset((joint.joint.parent, joint.joint.child)) for joint in model.joints}
+    for k, (part, T) in enumerate(zip(model.parts, poses, strict=True)):
+        few = part.mesh.vertices[:: max(1, len(part.mesh.vertices) // _FEW)].astype(float)
+        for other, T_other in enumerate(poses):
+            if other == k or frozenset((k, other)) in tied:
+                continue
+            inside = np.abs(apply(invert(T_other) @ T, few)) < _INSIDE * model.parts[other].extents_m / 2
+            if inside.all(axis=1).any():
+                return False
+    return True
 
 
 def _materials(rng: Generator, palette: Array) -> tuple[Material, ...]:

@@ -147,7 +147,9 @@ def _surface(
     )
 
 
-def _simplified(vertices: Array, faces: NDArray[Any], keep: float) -> tuple[Array, NDArray[Any]]:
+def _simplified(
+    vertices: NDArray[np.float64], faces: NDArray[Any], keep: float
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Points and triangles of these faces alone, about `keep` of them."""
     used, flat = np.unique(faces, return_inverse=True)
     points, own = vertices[used], flat.reshape(-1, 3)
@@ -161,7 +163,8 @@ def _simplified(vertices: Array, faces: NDArray[Any], keep: float) -> tuple[Arra
         import fast_simplification
     except ImportError as error:
         raise ImportError(f"fine meshes need fast-simplification ({error}): {_MISSING}") from error
-    return fast_simplification.simplify(points, own.astype(np.int32), target_reduction=1.0 - keep)
+    simple = fast_simplification.simplify(points, own.astype(np.int32), target_reduction=1.0 - keep)
+    return simple[0], simple[1]
 
 
 def multiplied(meshes: Sequence[Any], T_a_b: Array) -> list[Any]:

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from page_runtime.geometry import rotation_about, transform_from
-from page_training.scenes.articulated import ArticulatedObject, States
-from page_training.scenes.hinged import hinged_object
+from page_training.categories import CATEGORIES
+from page_training.scenes.articulated import ArticulatedObject, States, articulated_object
 from page_training.scenes.materials import Color, Material, plain, printed, random_color, scanned, vary
 from page_training.scenes.meshes import (
     Mesh,
     Points,
     cuboid,
+    joined,
     moved,
     plate,
     revolved,
@@ -267,7 +268,8 @@ def sample_object(rng: Generator) -> ArticulatedObject:
         base.append(shifted(cuboid(size, clasp, bevel=0.0004), 0.0, -body.depth / 2 - size[1] / 2, z))
     if looks_scanned:
         base, lid = _all_scanned(rng, base), _all_scanned(rng, lid)
-    return hinged_object(base, lid, (0.0, hinge_y, hinge_z), loose)
+    things = [(0, joined(loose))] if loose else []
+    return articulated_object(CATEGORIES["box"].joints, (base, lid), [(0.0, hinge_y, hinge_z)], loose=things)
 
 
 def _all_scanned(rng: Generator, meshes: list[Mesh]) -> list[Mesh]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from page_runtime.geometry import rotation_about, transform_from
-from page_training.scenes.articulated import ArticulatedObject, States
-from page_training.scenes.hinged import hinged_object
+from page_training.categories import CATEGORIES
+from page_training.scenes.articulated import ArticulatedObject, States, articulated_object
 from page_training.scenes.materials import (
     Color,
     Material,
@@ -242,4 +242,4 @@ def sample_object(rng: Generator) -> ArticulatedObject:
         half = body.width * length / 2
         cylinder = revolved([(radius, -half), (radius, half)], barrel, 12)
         owner.append(moved(cylinder, transform_from(turn, np.array([x * body.width, hinge_y, hinge_z - radius * 0.3]))))
-    return hinged_object(base, lid, (0.0, hinge_y, hinge_z))
+    return articulated_object(CATEGORIES["laptop"].joints, (base, lid), [(0.0, hinge_y, hinge_z)])

@@ -12,6 +12,7 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Joint
 from page_runtime.confidence import FEATURES
 from page_runtime.network import Network
+from page_runtime.symmetry import Symmetry
 
 
 def inspect(bundle: Path, *, as_json: bool) -> None:
@@ -38,6 +39,7 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         lines += [
             f"part {k}         {part.name}",
             f"  frame        {part.frame}",
+            *([] if part.symmetry is None else [f"  symmetry     {_turns(part.symmetry)} change nothing"]),
             f"  box          {_numbers(part.extents_unit)} of its diagonal along x, y, z on average; "
             f"diagonal {low:g} to {high:g} m",
             "  keypoints    in units of the diagonal, canonical frame",
@@ -56,6 +58,13 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         f"state {_limits(joint)}, 0 where both frames are parallel"
         for joint in category.joints
     ]
+    if category.interchange is not None:
+        renamed = ", ".join(
+            f"{part.name} as {category.parts[other].name}"
+            for part, other in zip(category.parts, category.interchange.parts, strict=True)
+        )
+        axis = _numbers(np.array(category.interchange.axis))
+        lines.append(f"interchange    the same object, half a turn about {axis} of every part on: {renamed}")
     if metadata.confidence is None:
         lines.append("confidence     not calibrated: the share of radii that agree with the pose")
     else:
@@ -66,6 +75,11 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         ]
     lines += ["provenance", *(f"  {name:<12} {json.dumps(value)}" for name, value in metadata.provenance.items())]
     return "\n".join(lines) + "\n"
+
+
+def _turns(symmetry: Symmetry) -> str:
+    turns = "all turns" if symmetry.fold == 0 else f"turns by {360 / symmetry.fold:g} deg"
+    return f"{turns} about {_numbers(np.array(symmetry.axis))}"
 
 
 def _numbers(values: np.ndarray) -> str:

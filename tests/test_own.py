@@ -1,0 +1,354 @@
+"""Categories of the user's own: kinematics as the loader's own, and scenes of them as of any other category."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+import yourdfpy
+from trimesh.visual import ColorVisuals
+
+from page_runtime.geometry import Array, apply, invert, rotation_about
+from page_runtime.symmetry import Symmetry
+from page_training.batches import make_batch
+from page_training.cache import make_shard
+from page_training.categories import category_named, known_categories, own_folder
+from page_training.cli import main
+from page_training.config import Augmentation
+from page_training.own.category import OwnCategory, own_category, read_own, write_own
+from page_training.own.joint_file import read_joint_file
+from page_training.own.model import OwnModel
+from page_training.own.surfaces import MOST_TRIANGLES
+from page_training.own.urdf import read_urdf
+from page_training.scenes import sample_scene, training_view
+from page_training.scenes.kinds import scene_category
+from page_training.templates import part_templates
+
+URDF = """<robot name="crane">
+  <material name="orange"><color rgba="0.9 0.5 0.1 1"/></material>
+  <link name="foot"><visual><geometry><box size="0.3 0.2 0.1"/></geometry><material name="orange"/></visual></link>
+  <link name="mast"><visual><origin xyz="0 0 0.15"/><geometry><mesh filename="package://crane/meshes/mast.stl"/>
+    </geometry></visual></link>
+  <link name="lamp"><visual><geometry><sphere radius="0.03"/></geometry></visual></link>
+  <link name="boom"><visual><origin xyz="0.1 0 0" rpy="0 1.5707963 0"/><geometry><cylinder radius="0.02" length="0.2"/>
+    </geometry></visual></link>
+  <link name="slide"><visual><geometry><mesh filename="meshes/slide.obj" scale="0.001 0.001 0.001"/></geometry></visual>
+  </link>
+  <joint name="turn" type="continuous"><parent link="foot"/><child link="mast"/>
+    <origin xyz="0.02 0.01 0.05" rpy="0 0 0.4"/><axis xyz="0 0 1"/></joint>
+  <joint name="screw" type="fixed"><parent link="mast"/><child link="lamp"/><origin xyz="0 0.03 0.31"/></joint>
+  <joint name="lift" type="revolute"><parent link="mast"/><child link="boom"/>
+    <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 -1 0.2"/>
+    <limit lower="-0.2" upper="1.2" effort="1" velocity="1"/></joint>
+  <joint name="reach" type="prismatic"><parent link="boom"/><child link="slide"/>
+    <origin xyz="0.2 0 0" rpy="0 0 0.5"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
+</robot>"""
+JOINT_FILE = """unit = "mm"
+[[part]]
+name = "frame"
+mesh = "frame.stl"
+[[part]]
+name = "door"
+mesh = ["door.ply", "knob.glb"]
+[[joint]]
+name = "hinge"
+parent = "frame"
+child = "door"
+kind = "revolute"
+axis = [0, 0, 2]
+point = [-200, 0, 0]
+limits_deg = [0, 110]
+"""
+
+
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A URDF of four moving parts and a lamp that is fixed to one. Read only."""
+    folder = tmp_path_factory.mktemp("crane")
+    (folder / "meshes").mkdir()
+    trimesh.creation.box((0.05, 0.04, 0.3)).export(folder / "meshes/mast.stl")
+    trimesh.creation.uv_sphere(radius=25.0, count=[120, 120]).export(folder / "meshes/slide.obj")
+    (folder / "crane.urdf").write_text(URDF)
+    return folder / "crane.urdf"
+
+
+@pytest.fixture(scope="module")
+def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A joint file with meshes in millimetres. Read only."""
+    folder = tmp_path_factory.mktemp("cupboard")
+    boxes = {"frame.stl": ((400, 300, 500), (0, 150, 250)), "door.ply": ((396, 20, 490), (0, -10, 250))}
+    for name, (size, middle) in boxes.items():
+        box = trimesh.creation.box(size)
+        box.apply_translation(middle)
+        box.export(folder / name)
+    knob = trimesh.creation.icosphere(radius=15)
+    knob.apply_translation((150, -30, 250))
+    knob.visual = ColorVisuals(knob, face_colors=(255, 0, 0, 255))
+    knob.export(folder / "knob.glb")
+    (folder / "cupboard.toml").write_text(JOINT_FILE)
+    return folder / "cupboard.toml"
+
+
+@pytest.fixture(scope="module")
+def crane_model(crane: Path) -> OwnModel:
+    return read_urdf(crane)
+
+
+@pytest.fixture
+def own_crane(crane_model: OwnModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> OwnCategory:
+    """The crane as a category of the working directory."""
+    monkeypatch.chdir(tmp_path)
+    own = own_category("crane", [crane_model], symmetries=[("slide", Symmetry((1.0, 0.0, 0.0), 0))])
+    write_own(own, own_folder("crane"))
+    return own
+
+
+def test_links_are_where_the_urdf_s_own_kinematics_have_them(crane: Path, crane_model: OwnModel) -> None:
+    own = own_category("crane", [crane_model], scale_sigma=0.0)
+    robot = yourdfpy.URDF.load(str(crane), load_meshes=False)
+    rng = np.random.default_rng(0)
+    model = own.sample_object(rng)
+    names = [part.name for part in own.category.parts]
+    assert names == ["foot", "mast", "boom", "slide"]
+    assert set(own.T_part_link["mast"]) == {"mast", "lamp"}
+    for _ in range(5):
+        states = tuple(float(rng.uniform(*joint.limits)) for joint in model.joints)
+        robot.update_cfg(dict(zip((joint.name for joint in own.category.joints), states, strict=True)))
+        poses = model.poses(np.eye(4), states)
+        T_foot_links = {
+            link: invert(poses[0] @ own.T_part_link["foot"]["foot"]) @ pose @ T
+            for name, pose in zip(names, poses, strict=True)
+            for link, T in own.T_part_link[name].items()
+        }
+        for link, T in T_foot_links.items():
+            np.testing.assert_allclose(T, robot.get_transform(link, "foot"), atol=1e-6)
+
+
+def test_surfaces_lie_where_the_urdf_has_them_and_are_made_simple(crane_model: OwnModel) -> None:
+    model = crane_model
+    assert sum(len(part.surface.triangles) for part in model.parts) <= 1.1 * MOST_TRIANGLES
+    foot, mast, _, slide = (part.surface for part in model.parts)
+    np.testing.assert_allclose(np.ptp(foot.vertices, axis=0), (0.3, 0.2, 0.1), atol=1e-6)
+    np.testing.assert_allclose(np.ptp(slide.vertices, axis=0), (0.05, 0.05, 0.05), atol=1e-3)
+    T_foot_mast = model.parts[1].links["mast"]
+    local = apply(invert(T_foot_mast), mast.vertices.astype(float))
+    lamp = np.linalg.norm(local - [0.0, 0.03, 0.31], axis=1) < 0.031
+    np.testing.assert_allclose(np.ptp(local[~lamp], axis=0), (0.05, 0.04, 0.3), atol=1e-5)
+    assert lamp.sum() > 20
+    colors = foot.palette[foot.color]
+    np.testing.assert_allclose(colors, np.tile([0.9, 0.5, 0.1], (len(colors), 1)), atol=0.02)
+
+
+def test_a_joint_taken_for_fixed_joins_its_links(crane: Path) -> None:
+    model = read_urdf(crane, ["lift"])
+    assert [part.name for part in model.parts] == ["foot", "mast", "slide"]
+    assert set(model.parts[1].links) == {"mast", "lamp", "boom"}
+    assert [(joint.name, joint.parent, joint.child) for joint in model.joints] == [("turn", 0, 1), ("reach", 1, 2)]
+
+
+def test_a_joint_file_says_what_it_means(cupboard: Path) -> None:
+    model = read_joint_file(cupboard)
+    frame, door = (part.surface for part in model.parts)
+    np.testing.assert_allclose(np.ptp(frame.vertices, axis=0), (0.4, 0.3, 0.5), atol=1e-6)
+    np.testing.assert_allclose(door.vertices.min(axis=0), (-0.198, -0.045, 0.005), atol=1e-4)
+    assert (np.abs(door.palette[door.color] - [1, 0, 0]) < 0.1).all(axis=1).any()
+    (joint,) = model.joints
+    np.testing.assert_allclose([*joint.axis, *joint.point, *joint.limits], [0, 0, 1, -0.2, 0, 0, 0, np.radians(110)])
+    own = own_category("cupboard", [model], scale_sigma=0.0)
+    item = own.sample_object(np.random.default_rng(0))
+    closed, opened = item.poses(np.eye(4), (0.0,))[1], item.poses(np.eye(4), (np.pi / 2,))[1]
+    hinge = np.array([-0.2, 0.0, 0.0]) - np.array([0.0, 0.15, 0.25])
+    turn = rotation_about(np.array([0.0, 0.0, 1.0]), np.pi / 2)
+    np.testing.assert_allclose(opened[:3, 3], hinge + turn @ (closed[:3, 3] - hinge), atol=1e-6)
+
+
+@pytest.mark.usefixtures("own_crane")
+def test_an_own_category_is_used_as_any_other(tmp_path: Path) -> None:
+    assert "crane" in known_categories()
+    category = category_named("crane")
+    assert not category.joints_mirror
+    assert category.parts[3].symmetry == Symmetry((1.0, 0.0, 0.0), 0)
+    rng = np.random.default_rng(2)
+    seen = set()
+    for _ in range(6):
+        view = training_view(sample_scene("crane", rng), rng)
+        seen |= set(np.unique(view.part_mask).tolist())
+        for k, (part, truth) in enumerate(zip(category.parts, view.truths, strict=True)):
+            low, high = part.diagonal_range_m
+            assert low < np.linalg.norm(truth.extents_m) < high
+            mask = view.part_mask == k + 1
+            rows, columns = np.nonzero(mask)
+            pixels = np.stack([columns, rows], axis=-1).astype(float)
+            points = view.frame.camera.backproject(pixels, view.noiseless_depth_m[mask])
+            assert (np.abs(apply(invert(truth.T_camera_part), points)) <= truth.extents_m / 2 + 1e-3).all()
+        for joint, state in zip(category.joints, view.joint_states, strict=True):
+            assert joint.limits[0] <= state <= joint.limits[1]
+    assert seen >= {1, 2, 3, 4}
+    make_shard(category, "train", 0, tmp_path / "shard.npy", size=2)
+    records = np.load(tmp_path / "shard.npy")
+    never_turned = Augmentation(flip_probability=1.0, turn_sigma_rad=0.0, scale_sigma=0.0)
+    batch = make_batch(
+        records, category, dense_points=64, generator=torch.Generator().manual_seed(0), augmentation=never_turned
+    )
+    # A mirror would show another crane.
+    np.testing.assert_allclose(batch.truth.R.numpy(), records["T_center_part"][..., :3, :3], atol=1e-6)
+    templates = part_templates("crane", rng, instances=3, points=64)
+    assert [len(template.points_unit) for template in templates] == [64] * 4
+
+
+def test_a_category_read_back_makes_the_same_scenes(own_crane: OwnCategory) -> None:
+    again = read_own(own_folder("crane"))
+    one, other = (own.sample_object(np.random.default_rng(5)) for own in (own_crane, again))
+    for a, b in zip(one.parts, other.parts, strict=True):
+        np.testing.assert_array_equal(a.mesh.vertices, b.mesh.vertices)
+        np.testing.assert_array_equal(a.mesh.triangles, b.mesh.triangles)
+    for a, b in zip(one.joints, other.joints, strict=True):
+        np.testing.assert_array_equal(a.pivot_child, b.pivot_child)
+        assert a.joint.axis == b.joint.axis
+    np.testing.assert_allclose(again.T_part_link["mast"]["lamp"], own_crane.T_part_link["mast"]["lamp"])
+
+
+@pytest.mark.usefixtures("own_crane")
+def test_what_stands_does_not_reach_below_its_foot() -> None:
+    kind, rng = scene_category("crane"), np.random.default_rng(3)
+    for _ in range(10):
+        model = kind.sample_object(rng)
+        poses: list[Array] = model.poses(np.eye(4), kind.sample_states(rng, model))
+        floor = model.parts[0].mesh.vertices[:, 2].min()
+        for part, T in zip(model.parts, poses, strict=True):
+            assert apply(T, part.mesh.vertices.astype(float))[:, 2].min() > floor - 0.01
+
+
+def test_parts_without_a_joint_between_them_keep_out_of_each_other(crane_model: OwnModel) -> None:
+    """The slide, let down, would stand inside the foot in many of the states that the joints allow."""
+    turn, lift, reach = crane_model.joints
+    folding = (turn, replace(lift, limits=(-1.75, -1.2)), replace(reach, limits=(0.0, 0.2)))
+    own = own_category("folding", [replace(crane_model, joints=folding)], rest="any", scale_sigma=0.0)
+    rng = np.random.default_rng(0)
+    model = own.sample_object(rng)
+
+    def inside(states: tuple[float, ...]) -> bool:
+        poses = model.poses(np.eye(4), states)
+        points = apply(invert(poses[0]) @ poses[3], model.parts[3].mesh.vertices.astype(float))
+        return bool((np.abs(points) < 0.2 * model.parts[0].extents_m).all(axis=1).any())
+
+    allowed = [tuple(float(rng.uniform(*joint.limits)) for joint in model.joints) for _ in range(60)]
+    assert sum(map(inside, allowed)) > 5
+    assert not any(inside(own.sample_states(rng, model)) for _ in range(60))
+
+
+def test_several_models_make_one_category_and_must_be_alike(
+    crane: Path, crane_model: OwnModel, cupboard: Path, tmp_path: Path
+) -> None:
+    larger = tmp_path / "larger"
+    (larger / "meshes").mkdir(parents=True)
+    for name in ("mast.stl", "slide.obj"):
+        (larger / "meshes" / name).write_bytes((crane.parent / "meshes" / name).read_bytes())
+    (larger / "crane.urdf").write_text(URDF.replace('size="0.3 0.2 0.1"', 'size="0.5 0.2 0.1"'))
+    own = own_category("cranes", [crane_model, read_urdf(larger / "crane.urdf")], scale_sigma=0.0)
+    rng = np.random.default_rng(0)
+    widths = {round(float(own.sample_object(rng).parts[0].extents_m[0]), 3) for _ in range(20)}
+    assert widths == {0.3, 0.5}
+    with pytest.raises(ValueError, match=r"cupboard.toml: expected the parts of crane.urdf"):
+        own_category("mixed", [crane_model, read_joint_file(cupboard)])
+
+
+def test_the_command_makes_a_category_that_the_others_take(
+    crane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["from-urdf", "crane", str(crane), "--fix", "reach", "--symmetric", "boom", "x", "2"]) == 0
+    told = capsys.readouterr().out
+    assert "part boom" in told
+    assert "joint lift: revolute, mast to boom, -11.5 to 68.8 deg" in told
+    assert json.loads((tmp_path / "export/categories/crane/category.json").read_text())["rest"] == "stand"
+    assert main(["preview", "crane", "--out", "sheet.png", "--rows", "1", "--columns", "2"]) == 0
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["box", "{crane}"], "built-in"),
+        (["my-crane", "{crane}"], "letters, digits and underscores"),
+        (["c", "{crane}", "--fix", "elbow"], "got elbow"),
+        (["c", "nothing.urdf"], "got nothing there"),
+        (["c", "{folder}/meshes/mast.stl"], "expected a .urdf file, or a .toml"),
+        (["c", "{crane}", "--symmetric", "boom", "w", "2"], "expected x, y or z"),
+        (["c", "{crane}", "--symmetric", "jib", "x", "2"], "expected parts of foot"),
+        (["c", "{crane}", "--rest", "sideways"], "stand, any"),
+        (["c", "{crane}", "--scale-sigma", "2"], "0 to 0.2"),
+        (["c", "{crane}", "--fix", "turn", "lift", "reach"], "one rigid object"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_a_sentence(
+    arguments: list[str], word: str, crane: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    given = [argument.format(crane=crane, folder=crane.parent) for argument in arguments]
+    assert main(["from-urdf", *given]) == 2
+    assert word in capsys.readouterr().err
+    assert not (tmp_path / "export").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ('type="continuous"', 'type="floating"', "--fix turn takes it for fixed"),
+        ("meshes/slide.obj", "meshes/gone.obj", "expected the mesh meshes/gone.obj"),
+        ('<geometry><cylinder radius="0.02" length="0.2"/>\n    </geometry>', "", "yourdfpy can load"),
+        ('lower="0" upper="0.1"', 'lower="0.1" upper="0.1"', "low < high"),
+    ],
+)
+def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, crane: Path, tmp_path: Path) -> None:
+    assert old in URDF
+    (tmp_path / "meshes").mkdir()
+    for name in ("mast.stl", "slide.obj"):
+        (tmp_path / "meshes" / name).write_bytes((crane.parent / "meshes" / name).read_bytes())
+    path = tmp_path / "crane.urdf"
+    path.write_text(URDF.replace(old, new))
+    with pytest.raises(ValueError, match=word):
+        read_urdf(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ('unit = "mm"', 'unit = "furlong"', "expected one of m, cm, mm, in"),
+        ('kind = "revolute"', 'kind = "screw"', "expected revolute or prismatic"),
+        ('parent = "frame"', 'parent = "wall"', "expected one of frame, door"),
+        ("axis = [0, 0, 2]", "axis = [0, 0]", "expected 3 numbers"),
+        ("axis = [0, 0, 2]", "axis = [0, 0, 0]", "expected a direction"),
+        ("limits_deg = [0, 110]", "limits_deg = [110, 0]", "low < high"),
+        ("limits_deg = [0, 110]", "limits_m = [0, 1]", "missing"),
+        ('mesh = "frame.stl"', 'mesh = "gone.stl"', "got nothing there"),
+        ('name = "door"', 'name = "frame"', "different names"),
+        ("[[joint]]", "[joint]", r"\[\[joint\]\]"),
+        ('unit = "mm"', 'unit = mm"', "expected TOML"),
+    ],
+)
+def test_a_joint_file_that_cannot_be_used_says_why(
+    old: str, new: str, word: str, cupboard: Path, tmp_path: Path
+) -> None:
+    assert old in JOINT_FILE
+    for name in ("frame.stl", "door.ply", "knob.glb"):
+        (tmp_path / name).write_bytes((cupboard.parent / name).read_bytes())
+    path = tmp_path / "cupboard.toml"
+    path.write_text(JOINT_FILE.replace(old, new, 1))
+    with pytest.raises(ValueError, match=word):
+        read_joint_file(path)
+
+
+@pytest.mark.usefixtures("own_crane")
+def test_a_folder_that_holds_something_else_is_refused() -> None:
+    path = own_folder("crane") / "category.json"
+    path.write_text(path.read_text().replace('"version": 1', '"version": 9', 1))
+    with pytest.raises(ValueError, match="expected version 1, got 9; make it again"):
+        read_own(own_folder("crane"))
