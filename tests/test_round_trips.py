@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -177,7 +178,7 @@ def test_other_readers_of_ros_2_read_our_bags(written: dict[str, Path], name: st
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
         assert set(counts.values()) == {30}
         connection = next(c for c in reader.connections if c.topic == "/camera/color/camera_info")
-        info = typestore.deserialize_cdr(next(reader.messages([connection]))[2], connection.msgtype)
+        info: Any = typestore.deserialize_cdr(next(reader.messages([connection]))[2], connection.msgtype)
         np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), frame.camera.K)
     file = path if path.is_file() else next(iter(path.glob("*.mcap")), None)
     if file is not None:

@@ -106,11 +106,13 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
     color, depth = _topics(path, kinds, by_topic)
     camera, distortion = _camera(path, color, kinds, by_topic)
     topic_streams: tuple[tuple[str, Stream], ...] = ((color, "color"), (depth, "depth"))
-    in_order = sorted(
+    in_order: list[tuple[MessageStore, MessageRef, Stream]] = sorted(
         ((store, ref, stream) for topic, stream in topic_streams for store, ref in by_topic[topic]),
         key=lambda item: item[1].log_time_ns,
     )
-    readings = [(ros.stamp_ns(ref.head) * 1e-9, stream, (store, ref)) for store, ref, stream in in_order]
+    readings: list[tuple[float, Stream, tuple[MessageStore, MessageRef]]] = []
+    for store, ref, stream in in_order:
+        readings.append((ros.stamp_ns(ref.head) * 1e-9, stream, (store, ref)))
     pairs, counts = pair_recorded(readings, window_s=window_s)
     missed: Counter[str] = Counter()
     for store in stores:
