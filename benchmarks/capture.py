@@ -26,8 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from page_runtime.bench import cpu_name, versions
 from page_runtime.camera import Camera
-from page_runtime.capture.conversion import LAYOUTS, frame_writer
+from page_runtime.capture.conversion import frame_writer
 from page_runtime.capture.frame_service import LiveFrame
+from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.capture.undistortion import Distortion, undistorted

@@ -17,7 +17,8 @@ import pytest
 from page_runtime.capture import oak
 from page_runtime.capture.events import SourceDied, SourceEnded, SourceStalled
 from page_runtime.capture.pairing import NO_PARTNER, NeverInSync
-from page_runtime.capture.supervision import Patience, SupervisedSource
+from page_runtime.capture.patience import Patience
+from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.image_files import SourceError
 
 if importlib.util.find_spec("depthai") is None:

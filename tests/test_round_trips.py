@@ -14,7 +14,8 @@ import pytest
 import recorded_toy
 import toy
 from page_runtime import Network, estimate
-from page_runtime.capture.conversion import LAYOUTS, copy_frames, exact_unit_mm, frame_writer
+from page_runtime.capture.conversion import copy_frames, exact_unit_mm, frame_writer
+from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.image_files import SourceError, depth_in_metres
 from page_runtime.recorded import RecordedFrame, Source

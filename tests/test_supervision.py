@@ -21,7 +21,8 @@ from page_runtime.capture.child_process import ChildEnd, ChildProcess, pickled
 from page_runtime.capture.events import SourceDied, SourceEnded, SourceRunning, SourceStalled, SourceStarted
 from page_runtime.capture.frame_ring import SLOTS, RingReader, RingWriter
 from page_runtime.capture.frame_service import DeviceUnavailable
-from page_runtime.capture.supervision import SUPERSEDED, Patience, SourceLost, SupervisedSource
+from page_runtime.capture.patience import Patience
+from page_runtime.capture.supervision import SUPERSEDED, SourceLost, SupervisedSource
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import RecordedFrame
 

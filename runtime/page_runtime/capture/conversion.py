@@ -26,7 +26,7 @@ from page_runtime.image_files import PNG_FASTEST, SourceError, write_color, writ
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
 
-LAYOUTS = ("recording", "mcap", "ros2-mcap", "ros2-sqlite3", "tum", "pictures", "video")
+EMPTY = "nothing to write: the source gave no frames"
 # What cameras and data sets count depth in, mm.
 DEPTH_UNITS_MM = (1.0, 0.5, 0.25, 0.2, 0.125, 0.1)
 
@@ -106,7 +106,11 @@ class _Recording:
         return self._writer.write(recorded)
 
     def close(self, error: BaseException | None) -> None:
-        if self._writer is not None:
+        if self._writer is None:
+            if error is None:
+                raise SourceError(EMPTY)
+        elif not isinstance(error, OSError):
+            # A full disk leaves .NAME.partial, which `repair` can finish.
             self._writer.__exit__(None if error is None else type(error), error, None)
 
 
@@ -141,7 +145,7 @@ class _Pictures:
 
     def close(self) -> None:
         if self._camera is None:
-            raise SourceError("nothing to write: the source has no frames")
+            raise SourceError(EMPTY)
         document = _intrinsics(self._camera) | {"depth_scale": self._unit_mm}
         (self._folder / INTRINSICS_FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         lines = "".join(f"{time_s!r}\n" for time_s in self._times_s)
@@ -193,7 +197,7 @@ class _Tum:
 
     def close(self) -> None:
         if self._camera is None:
-            raise SourceError("nothing to write: the source has no frames")
+            raise SourceError(EMPTY)
         for name, lines in self._lines.items():
             text = "# timestamp filename\n" + "".join(lines)
             (self._folder / f"{name}.txt").write_text(text, encoding="utf-8")

@@ -29,7 +29,8 @@ from page_runtime.camera import Camera
 from page_runtime.capture.child_process import ChildEnd, ChildProcess, Task, pickled
 from page_runtime.capture.events import SourceEvent
 from page_runtime.capture.frame_service import DeviceUnavailable, LiveFrame
-from page_runtime.capture.pairing import WINDOW_S, Pair, Pairing, Stream
+from page_runtime.capture.layouts import WINDOW_S
+from page_runtime.capture.pairing import Pair, Pairing, Stream
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import require_central
