@@ -135,8 +135,12 @@ def test_an_unfinished_recording_is_neither_overwritten_nor_played_by_accident(t
 def test_convert_writes_every_layout_and_record_the_crash_safe_ones(layout: str, tmp_path: Path, capsys) -> None:
     target = tmp_path / ("out.mcap" if layout == "mcap" else "out")
     source = recorded_toy.writer_of("recording", "source")(tmp_path, recorded_toy.frames(4))
+    (source / "calibration.json").write_text('{"serial": 2}')
     assert main(["convert", str(source), str(target), "--layout", layout, "--frames", "3", "--quiet"]) == 0
-    assert len(open_source(target)) == 3
+    played = open_source(target)
+    assert len(played) == 3
+    if layout in ("mcap", "recording", "ros2-mcap", "ros2-sqlite3"):
+        assert played.calibration == '{"serial": 2}'
     assert main(["convert", str(source), str(target), "--layout", layout]) == 2
     assert "exists already" in capsys.readouterr().err
     if layout in ("mcap", "recording"):
@@ -169,6 +173,11 @@ def test_commands_that_need_a_recording_refuse_a_camera(arguments: list[str], or
     bundle = [] if arguments[0] == "convert" else ["--bundle", str(oracle_bundle)]
     assert main([*arguments, *bundle]) == 2
     assert "expected a recording, got the camera 'oak'" in capsys.readouterr().err
+
+
+def test_run_with_a_camera_needs_a_region_and_says_so_before_it_looks_for_one(oracle_bundle: Path, capsys) -> None:
+    assert main(["run", "oak", "--bundle", str(oracle_bundle)]) == 2
+    assert "pass --region" in capsys.readouterr().err
 
 
 def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,7 +289,7 @@ def test_a_full_disk_leaves_what_repair_can_finish(tmp_path: Path, monkeypatch: 
         raise OSError(28, "No space left on device")
 
     def record() -> None:
-        with frame_writer(tmp_path / "r") as writer:
+        with frame_writer(tmp_path / "r", category="box", part_names=("base", "lid")) as writer:
             for recorded in frames[:3]:
                 writer.write(recorded)
             monkeypatch.setattr(recording, "write_depth", full)

@@ -158,6 +158,13 @@ def test_a_camera_that_changes_is_refused_where_it_could_not_be_said(tmp_path: P
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
+def test_no_frames_are_an_error_and_leave_nothing(layout: str, tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="the source gave no frames"), frame_writer(tmp_path / "out", layout):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_nothing_is_ever_overwritten(layout: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(FileExistsError, match=r"exists already"), frame_writer(tmp_path / "out", layout):

@@ -20,7 +20,7 @@ from page_runtime.capture.color_depth import INTRINSICS_FILE
 from page_runtime.capture.color_video import VIDEO_NAMES, VideoWriter
 from page_runtime.capture.documents import METRES_PER_MM, TIMES_FILE
 from page_runtime.capture.mcap_recording import SUFFIX, McapRecordingWriter
-from page_runtime.capture.ros_messages import exact_units, messages_of, typestore
+from page_runtime.capture.ros_messages import CALIBRATION_TOPIC, exact_units, messages_of, text_message, typestore
 from page_runtime.capture.tum import METRES_PER_UNIT as TUM_METRES_PER_UNIT
 from page_runtime.image_files import PNG_FASTEST, SourceError, write_color, write_depth
 from page_runtime.recorded import RecordedFrame
@@ -57,8 +57,15 @@ def frame_writer(
         raise FileExistsError(f"{target}: exists already; nothing is ever overwritten, give another name")
     kind = layout_of(target, layout)
     if kind == "mcap":
-        with McapRecordingWriter(target, category=category, part_names=part_names) as writer:
-            yield writer
+        recording = McapRecordingWriter(target, category=category, part_names=part_names)
+        try:
+            with recording:
+                yield recording
+            if not recording.frames:
+                raise SourceError(EMPTY)
+        finally:
+            if not recording.frames:
+                target.unlink()
     elif kind == "recording":
         writer = _Recording(target, category=category, part_names=part_names)
         try:
@@ -220,9 +227,10 @@ class _Bag:
         self._frames = 0
 
     def write(self, recorded: RecordedFrame, *, calibration: str | None = None) -> int:
-        if calibration is not None:
-            self._writer.set_custom_data("calibration", calibration)
-        for message in messages_of(recorded, category=self._category, part_names=self._part_names):
+        messages = list(messages_of(recorded, category=self._category, part_names=self._part_names))
+        if calibration is not None and CALIBRATION_TOPIC not in self._connections:
+            messages.append(text_message(CALIBRATION_TOPIC, messages[0].time_ns, calibration))
+        for message in messages:
             if message.topic not in self._connections:
                 self._connections[message.topic] = self._writer.add_connection(
                     message.topic, message.kind, typestore=self._typestore
@@ -233,6 +241,8 @@ class _Bag:
 
     def close(self) -> None:
         self._writer.close()
+        if not self._frames:
+            raise SourceError(EMPTY)
 
 
 def exact_unit_mm(recorded: RecordedFrame) -> float:

@@ -122,7 +122,7 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
         _entry(path, pair, index, camera, distortion, kinds, facts.get(ros.stamp_ns(pair.color[1].head)))
         for index, pair in enumerate(pairs)
     )
-    calibration = next((store.attachments[CALIBRATION_FILE] for store in stores if store.attachments), None)
+    calibration = _calibration(stores, by_topic.get(ros.CALIBRATION_TOPIC, []))
     known = next(iter(facts.values()), {})
     category, parts = known.get("category"), known.get("parts")
     return require_playable(
@@ -133,9 +133,17 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
             category,
             tuple(parts) if category is not None and parts else None,
             replace(counts, missed=dict(missed)),
-            None if calibration is None else calibration.decode("utf-8", "replace"),
+            calibration,
         )
     )
+
+
+def _calibration(stores: list[MessageStore], messages: list[tuple[MessageStore, MessageRef]]) -> str | None:
+    """What the camera says of itself: an attachment in MCAP, a message in bags."""
+    for store in stores:
+        if CALIBRATION_FILE in store.attachments:
+            return store.attachments[CALIBRATION_FILE].decode("utf-8", "replace")
+    return _first(messages, ros.STRING).data if messages else None
 
 
 def _topics(path: Path, kinds: dict[str, str], by_topic: dict[str, Any]) -> tuple[str, str]:
