@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -169,6 +170,32 @@ def test_nothing_is_ever_overwritten(layout: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(FileExistsError, match=r"exists already"), frame_writer(tmp_path / "out", layout):
         pass
+
+
+@pytest.mark.parametrize(
+    ("name", "missing", "extra"),
+    [
+        ("MCAP", "mcap", "ros"),
+        ("ROS 2 bag of sqlite3", "rosbags.rosbag2", "ros"),
+        ("depthai recording", "mcap_protobuf.decoder", "ros"),
+    ],
+)
+def test_a_missing_library_names_the_extra_to_install(
+    written: dict[str, Path], name: str, missing: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name not in written:
+        pytest.skip("depthai is not installed")
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(SourceError, match=rf"pip install 'page-edge\[{extra}\]'"):
+        open_source(written[name])
+
+
+@pytest.mark.parametrize(("name", "magic"), [("a.bag", b"#ROSBAG V2.0\n"), ("a.mkv", b"\x1aE\xdf\xa3")])
+def test_sensor_recordings_that_open3d_cannot_open_are_refused(name: str, magic: bytes, tmp_path: Path) -> None:
+    pytest.importorskip("open3d")
+    (tmp_path / name).write_bytes(magic + bytes(100))
+    with pytest.raises(SourceError, match="Open3D cannot open it"):
+        open_source(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["MCAP", "ROS 2 bag of MCAP", "ROS 2 bag of sqlite3"])

@@ -51,9 +51,10 @@ class SqliteFile:
     """The messages of one sqlite3 file of a bag, through rosbags."""
 
     def __init__(self, path: Path) -> None:
-        ros.typestore()
-        from rosbags.rosbag2 import Reader
-
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError as error:
+            raise SourceError(ros.MISSING) from error
         self.path = path
         self.attachments: dict[str, bytes] = {}
         self.missed: dict[str, int] = {}

@@ -35,6 +35,7 @@ IMAGE, COMPRESSED, INFO, STRING = (
     "sensor_msgs/msg/CameraInfo",
     "std_msgs/msg/String",
 )
+MISSING = "ROS 2 bags need rosbags, which is not installed; pip install 'page-edge[ros]'"
 METRES_PER_UNIT = 1e-3
 COLOR_ENCODINGS = {"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB}
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
@@ -57,7 +58,7 @@ def typestore() -> Any:
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise SourceError("ROS 2 bags need rosbags, which is not installed; pip install 'page-edge[ros]'") from error
+        raise SourceError(MISSING) from error
     return get_typestore(Stores.ROS2_HUMBLE)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from page_runtime.capture.events import SourceEvent
 from page_runtime.capture.oak import is_oak, open_oak
@@ -77,7 +78,7 @@ def _stopped_by_signals(source: SupervisedSource) -> Iterator[None]:
         signal.signal(number, before[number])
         source.stop()
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before: dict[int, Any] = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
