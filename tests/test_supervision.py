@@ -144,6 +144,17 @@ def test_an_error_that_a_new_start_cannot_mend_is_raised(kind: str, error: type[
         next(iter(source))
 
 
+def test_a_callback_that_fails_is_an_error_of_the_source_and_leaves_no_child() -> None:
+    def fail(_: object) -> None:
+        raise RuntimeError("the application's own fault")
+
+    before = len(children())
+    with SupervisedSource(live_sources.count_up, name="test", on_event=fail) as source:
+        with pytest.raises(SourceLost, match="RuntimeError: the application's own fault"):
+            next(iter(source))
+        assert len(children()) == before
+
+
 def test_a_frame_larger_than_the_first_is_a_failure_not_a_corruption() -> None:
     with SupervisedSource(live_sources.grow, name="test", patience=HASTY) as source:
         seen = [recorded.frame.camera.width for recorded, _ in zip(source, range(2), strict=False)]

@@ -162,8 +162,9 @@ class SupervisedSource:
     def _supervise(self) -> None:
         try:
             self._run_children()
-        except OSError as error:
-            self._error = SourceLost(f"{self.name}: cannot run its process ({error})")
+        except Exception as error:
+            # on_event is the application's, and a thread that dies in silence would look like a source that ended.
+            self._error = SourceLost(f"{self.name}: its supervision failed ({type(error).__name__}: {error})")
         finally:
             with self._changed:
                 self._finished = True
@@ -175,9 +176,9 @@ class SupervisedSource:
             attempt += 1
             before = self._received
             child = ChildProcess(self._task, environment=self._environment)
-            self._tell(SourceStarted(child.pid, attempt))
             watch = Watch(child, self._patience)
             try:
+                self._tell(SourceStarted(child.pid, attempt))
                 reason = self._watch(watch)
             finally:
                 self._retire(watch)
