@@ -26,8 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from page_runtime.bench import cpu_name, versions
 from page_runtime.camera import Camera
-from page_runtime.capture.conversion import LAYOUTS, frame_writer
+from page_runtime.capture.conversion import frame_writer
 from page_runtime.capture.frame_service import LiveFrame
+from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.capture.undistortion import Distortion, undistorted
@@ -96,14 +97,19 @@ def _frame(index: int) -> RecordedFrame:
     return RecordedFrame(RgbdFrame(color, (depth_mm * 1e-3).astype(np.float32), CAMERA, index / FPS, index))
 
 
-def _milliseconds(call: Callable[[], object]) -> float:
-    begin = time.perf_counter()
+def _milliseconds(call: Callable[[], object]) -> tuple[float, float]:
+    """Wall time, and the processor's time for this thread: what it would take if nothing else ran."""
+    begin, begin_cpu = time.perf_counter(), time.thread_time()
     call()
-    return (time.perf_counter() - begin) * 1e3
+    return (time.perf_counter() - begin) * 1e3, (time.thread_time() - begin_cpu) * 1e3
 
 
-def _percentiles(values_ms: list[float]) -> dict[str, float]:
-    return {f"p{p}_ms": round(float(np.percentile(values_ms, p)), 3) for p in (50, 95, 99)}
+def _percentiles(values_ms: list[tuple[float, float]]) -> dict[str, float]:
+    wall, cpu = zip(*values_ms, strict=True)
+    return {
+        **{f"p{p}_ms": round(float(np.percentile(wall, p)), 3) for p in (50, 95, 99)},
+        **{f"cpu_p{p}_ms": round(float(np.percentile(cpu, p)), 3) for p in (50, 95)},
+    }
 
 
 def camera_like(stopping: threading.Event) -> Iterator[LiveFrame]:
@@ -122,11 +128,16 @@ def _source() -> SupervisedSource:
     return SupervisedSource(capture.camera_like, name="benchmark")
 
 
-def _live_delays(frames: int) -> list[float]:
-    delays_ms = []
+def _live_delays(frames: int) -> list[tuple[float, float]]:
+    """From the child's having a frame until it is here, and the processor's time of this process a frame."""
+    delays_ms: list[tuple[float, float]] = []
     with _source() as source:
+        begin_cpu = time.process_time()
         for recorded in source:
-            delays_ms.append((time.monotonic() - recorded.frame.timestamp_s) * 1e3)
+            delay_ms = (time.monotonic() - recorded.frame.timestamp_s) * 1e3
+            cpu = time.process_time()
+            delays_ms.append((delay_ms, (cpu - begin_cpu) * 1e3))
+            begin_cpu = cpu
             if len(delays_ms) == frames:
                 return delays_ms
     return delays_ms
@@ -157,15 +168,12 @@ def _cycles(count: int) -> dict[str, Any]:
 
 
 def _readable(document: dict[str, Any]) -> str:
-    rows = [
-        (name, *(number(values[f"p{p}_ms"], 2) for values in (document["decode"][name], document["record"][name])
-                 for p in (50, 95)))
-        for name in document["decode"]
-    ]  # fmt: skip
-    text = table(("ms", "decode p50", "p95", "record p50", "p95"), rows)
-    for name in ("undistort", "live"):
-        values = document[name]
-        text += f"{name}: p50 {values['p50_ms']:.2f} ms, p95 {values['p95_ms']:.2f}, p99 {values['p99_ms']:.2f}\n"
+    named = {f"decode {name}": values for name, values in document["decode"].items()}
+    named |= {f"record {name}": values for name, values in document["record"].items()}
+    named |= {name: document[name] for name in ("undistort", "live")}
+    columns = ("p50_ms", "p95_ms", "cpu_p50_ms", "cpu_p95_ms")
+    rows = [(name, *(number(values[column], 2) for column in columns)) for name, values in named.items()]
+    text = table(("ms", "wall p50", "p95", "processor p50", "p95"), rows)
     if "cycles" in document:
         text += f"cycles: {document['cycles']}\n"
     return text + f"{document['cpu']}\n"

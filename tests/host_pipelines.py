@@ -48,7 +48,7 @@ def image(
         message.setType(kind)
         message.setWidth(pixels.shape[1])
         message.setHeight(pixels.shape[0])
-        message.setData(np.ascontiguousarray(pixels).reshape(-1))
+        message.setData(pixels.tobytes())
     else:
         message.setCvFrame(pixels, kind)
     message.setSequenceNum(number)
@@ -69,7 +69,7 @@ class TwoStreams(dai.node.ThreadedHostNode):
 
     def run(self) -> None:
         script = self.script
-        begin_s, number = dai.Clock.now().total_seconds(), 0
+        begin_s, number = time.monotonic(), 0
         while self.isRunning() and number < script.get("frames", 10**9):
             time_s = begin_s + number / FPS
             if number == script.get("raise_at"):
@@ -127,7 +127,7 @@ def synced_numbers(script: dict[str, Any], *, threshold_s: float, groups: int) -
         pipeline.start()
         found = []
         for _ in range(groups):
-            group = queue.get()
+            group: Any = queue.get()
             found.append((group["color"].getSequenceNum(), group["depth"].getSequenceNum()))
         return found
 

@@ -76,6 +76,8 @@ def fail(stopping: threading.Event, *, kind: str) -> Iterator[LiveFrame]:
         os.write(2, b"the library's last words\n")
         raise RuntimeError("X_LINK_ERROR")
     yield numbered(0)
+    time.sleep(0.2)
+    raise SourceError("the camera was unplugged")
 
 
 def grow(stopping: threading.Event) -> Iterator[LiveFrame]:

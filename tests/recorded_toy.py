@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 import toy
 from page_runtime.camera import Camera
 from page_runtime.capture.conversion import frame_writer
+from page_runtime.capture.mcap_file import McapFile
 from page_runtime.frame import RgbdFrame
 from page_runtime.recorded import RecordedFrame
 
@@ -79,13 +81,25 @@ def write_bop(folder: Path, recorded: list[RecordedFrame]) -> Path:
 
 
 def write_depthai(folder: Path, recorded: list[RecordedFrame]) -> Path:
-    """Both streams by depthai's own RecordMetadataOnly nodes, in a pipeline without a device."""
+    """Both streams by depthai's own RecordMetadataOnly nodes, in a pipeline without a device.
+
+    Its nodes write when they get to it, and what they have not written when the pipeline stops is lost.
+    """
+    path = folder / "depthai"
+    for patience_s in (0.3, 3.0, 15.0):
+        shutil.rmtree(path, ignore_errors=True)
+        path.mkdir()
+        _record_by_depthai(path, recorded, patience_s)
+        if all(len(McapFile(file).messages) == len(recorded) for file in path.iterdir()):
+            return path
+    raise AssertionError("depthai did not write what it was sent")
+
+
+def _record_by_depthai(path: Path, recorded: list[RecordedFrame], patience_s: float) -> None:
     import depthai as dai
 
     import host_pipelines
 
-    path = folder / "depthai"
-    path.mkdir()
     with dai.Pipeline(createImplicitDevice=False) as pipeline:
         source = pipeline.create(host_pipelines.Player)
         source.frames = [item.frame for item in recorded]
@@ -95,8 +109,7 @@ def write_depthai(folder: Path, recorded: list[RecordedFrame]) -> Path:
             output.link(node.input)
         pipeline.start()
         source.wait_until_sent()
-        time.sleep(0.3)
-    return path
+        time.sleep(patience_s)
 
 
 LOSSLESS: dict[str, Callable[[Path, list[RecordedFrame]], Path]] = {

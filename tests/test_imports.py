@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "page_export": {"page_training", "page_runtime"},
     "page_calibration": {"page_runtime"},
 }
-HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai"}
+HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai", "rosbags", "mcap", "mcap_protobuf"}
 ONLY_IMPORTER = {"onnxruntime": "network.py", "depthai": "capture/oak.py"}
 ONLY_IMPORTER_OF_TRAINING = {
     "open3d": "scenes/render.py",

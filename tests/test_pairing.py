@@ -29,7 +29,9 @@ Readings = list[tuple[float, Stream, int]]
 
 def recorded(color: list[float], depth: list[float]) -> Readings:
     readings: Readings = [(t, "color", i) for i, t in enumerate(color)]
-    return readings + [(t, "depth", i) for i, t in enumerate(depth)]
+    for i, t in enumerate(depth):
+        readings.append((t, "depth", i))
+    return readings
 
 
 def best_possible(color: list[float], depth: list[float], window_s: float) -> int:
@@ -144,7 +146,8 @@ def test_a_silent_stream_makes_the_other_give_up_its_oldest() -> None:
 
 def test_readings_out_of_order_find_their_partner_while_it_waits() -> None:
     readings: Readings = [(t, "color", i) for i, t in enumerate([0.0, 0.066, 0.033, 0.1])]
-    readings += [(t, "depth", i) for i, t in enumerate([0.0, 0.033, 0.066, 0.1])]
+    depth: Readings = [(t, "depth", i) for i, t in enumerate([0.0, 0.033, 0.066, 0.1])]
+    readings += depth
     pairs, counts = pair_recorded(readings)
     assert [(p.color, p.depth) for p in pairs] == [(0, 0), (2, 1), (1, 2), (3, 3)]
     assert counts.complete
@@ -156,7 +159,8 @@ def test_a_clock_that_is_set_back_costs_what_waited_and_no_more() -> None:
     readings: Readings = []
     for begin in (100.0, 3.0):
         for i in range(30):
-            readings += [(begin + i / 30, "color", i), (begin + i / 30 + 0.004, "depth", i)]
+            readings.append((begin + i / 30, "color", i))
+            readings.append((begin + i / 30 + 0.004, "depth", i))
     pairs, counts = pair_recorded(readings)
     assert len(pairs) == 60
     assert counts.complete

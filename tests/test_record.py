@@ -20,12 +20,14 @@ import pytest
 
 import recorded_toy
 import toy
+from page_runtime import recording
 from page_runtime.capture import oak
 from page_runtime.capture.conversion import frame_writer, partial_of
+from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.mcap_file import McapFile
 from page_runtime.capture.playback import open_source
 from page_runtime.capture.repair import repair
-from page_runtime.cli import EXIT_NO_CAMERA, LAYOUTS, main
+from page_runtime.cli import EXIT_NO_CAMERA, main
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
@@ -133,8 +135,12 @@ def test_an_unfinished_recording_is_neither_overwritten_nor_played_by_accident(t
 def test_convert_writes_every_layout_and_record_the_crash_safe_ones(layout: str, tmp_path: Path, capsys) -> None:
     target = tmp_path / ("out.mcap" if layout == "mcap" else "out")
     source = recorded_toy.writer_of("recording", "source")(tmp_path, recorded_toy.frames(4))
+    (source / "calibration.json").write_text('{"serial": 2}')
     assert main(["convert", str(source), str(target), "--layout", layout, "--frames", "3", "--quiet"]) == 0
-    assert len(open_source(target)) == 3
+    played = open_source(target)
+    assert len(played) == 3
+    if layout in ("mcap", "recording", "ros2-mcap", "ros2-sqlite3"):
+        assert played.calibration == '{"serial": 2}'
     assert main(["convert", str(source), str(target), "--layout", layout]) == 2
     assert "exists already" in capsys.readouterr().err
     if layout in ("mcap", "recording"):
@@ -167,6 +173,11 @@ def test_commands_that_need_a_recording_refuse_a_camera(arguments: list[str], or
     bundle = [] if arguments[0] == "convert" else ["--bundle", str(oracle_bundle)]
     assert main([*arguments, *bundle]) == 2
     assert "expected a recording, got the camera 'oak'" in capsys.readouterr().err
+
+
+def test_run_with_a_camera_needs_a_region_and_says_so_before_it_looks_for_one(oracle_bundle: Path, capsys) -> None:
+    assert main(["run", "oak", "--bundle", str(oracle_bundle)]) == 2
+    assert "pass --region" in capsys.readouterr().err
 
 
 def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,33 +239,68 @@ def test_playing_recording_and_estimating_open_no_socket(tmp_path: Path, oracle_
     assert not [call for call in trace.read_text().splitlines() if "AF_INET" in call]
 
 
-def test_ctrl_c_and_sigterm_end_a_recording_of_a_camera_with_all_its_frames(tmp_path: Path) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        target = tmp_path / f"{number}.mcap"
-        code = (
-            "import sys; from functools import partial; import live_sources\n"
-            "from page_runtime.cli import main\n"
-            "from page_runtime.capture import oak, supervision\n"
-            "import page_runtime.commands.sources as sources\n"
-            "sources.open_oak = lambda name, window_s, on_event: supervision.SupervisedSource(\n"
-            "    live_sources.count_up, name=name, on_event=on_event)\n"
-            f"sys.exit(main(['record', 'oak', {str(target)!r}]))\n"
-        )
-        process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, env=ENVIRONMENT, text=True)
-        assert process.stderr is not None
-        while "frames arrive" not in process.stderr.readline():
-            assert process.poll() is None
-        time.sleep(0.4)
-        began_s = time.monotonic()
-        process.send_signal(number)
-        rest = process.stderr.read()
-        assert process.wait() == 0, rest
-        assert time.monotonic() - began_s < 2
-        said = re.search(r"(\d+) frames in", rest)
-        assert said is not None
-        source = open_source(target)
-        assert len(source) == int(said[1]) > 5
-        assert source.counts.missed == {}
+def start_recording(target: Path, factory: str) -> subprocess.Popen[str]:
+    """`page-runtime record oak` with another camera in a child process of its own."""
+    code = (
+        "import sys; from functools import partial; import live_sources\n"
+        "from page_runtime.cli import main\n"
+        "from page_runtime.capture.supervision import SupervisedSource\n"
+        "import page_runtime.commands.sources as sources\n"
+        "sources.open_oak = lambda name, window_s, on_event: SupervisedSource(\n"
+        f"    {factory}, name=name, on_event=on_event)\n"
+        f"sys.exit(main(['record', 'oak', {str(target)!r}]))\n"
+    )
+    return subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, env=ENVIRONMENT, text=True)
+
+
+@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "folder"), (signal.SIGTERM, "file.mcap")])
+def test_ctrl_c_and_sigterm_end_a_recording_of_a_camera_with_all_its_frames(
+    number: signal.Signals, name: str, tmp_path: Path
+) -> None:
+    process = start_recording(tmp_path / name, "live_sources.count_up")
+    assert process.stderr is not None
+    while "frames arrive" not in process.stderr.readline():
+        assert process.poll() is None
+    time.sleep(0.4)
+    process.send_signal(number)
+    rest = process.stderr.read()
+    assert process.wait() == 0, rest
+    said = re.search(r"(\d+) frames in", rest)
+    assert said is not None
+    source = open_source(tmp_path / name)
+    assert len(source) == int(said[1]) > 0
+    assert source.counts.complete
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", ["folder", "file.mcap"])
+def test_what_a_camera_gave_before_it_was_lost_is_kept(name: str, tmp_path: Path) -> None:
+    process = start_recording(tmp_path / name, "partial(live_sources.fail, kind='lost')")
+    _, error = process.communicate()
+    assert process.returncode == 2
+    assert error.rstrip().endswith("page-runtime: the camera was unplugged")
+    assert len(open_source(tmp_path / name)) == 1
+
+
+def test_a_full_disk_leaves_what_repair_can_finish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = recorded_toy.frames(4)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    def record() -> None:
+        with frame_writer(tmp_path / "r", category="box", part_names=("base", "lid")) as writer:
+            for recorded in frames[:3]:
+                writer.write(recorded)
+            monkeypatch.setattr(recording, "write_depth", full)
+            writer.write(frames[3])
+
+    with pytest.raises(OSError, match="No space left"):
+        record()
+    monkeypatch.undo()
+    result = repair(partial_of(tmp_path / "r"), tmp_path / "repaired")
+    assert result.frames == 3
+    same_frames(result.path, upto=3)
 
 
 def test_oak_is_the_only_word_for_a_camera() -> None:

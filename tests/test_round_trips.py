@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ import pytest
 import recorded_toy
 import toy
 from page_runtime import Network, estimate
-from page_runtime.capture.conversion import LAYOUTS, copy_frames, exact_unit_mm, frame_writer
+from page_runtime.capture.conversion import copy_frames, exact_unit_mm, frame_writer
+from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.image_files import SourceError, depth_in_metres
 from page_runtime.recorded import RecordedFrame, Source
@@ -156,10 +159,43 @@ def test_a_camera_that_changes_is_refused_where_it_could_not_be_said(tmp_path: P
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
+def test_no_frames_are_an_error_and_leave_nothing(layout: str, tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match="the source gave no frames"), frame_writer(tmp_path / "out", layout):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_nothing_is_ever_overwritten(layout: str, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(FileExistsError, match=r"exists already"), frame_writer(tmp_path / "out", layout):
         pass
+
+
+@pytest.mark.parametrize(
+    ("name", "missing", "extra"),
+    [
+        ("MCAP", "mcap", "ros"),
+        ("ROS 2 bag of sqlite3", "rosbags.rosbag2", "ros"),
+        ("depthai recording", "mcap_protobuf.decoder", "ros"),
+    ],
+)
+def test_a_missing_library_names_the_extra_to_install(
+    written: dict[str, Path], name: str, missing: str, extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name not in written:
+        pytest.skip("depthai is not installed")
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(SourceError, match=rf"pip install 'page-edge\[{extra}\]'"):
+        open_source(written[name])
+
+
+@pytest.mark.parametrize(("name", "magic"), [("a.bag", b"#ROSBAG V2.0\n"), ("a.mkv", b"\x1aE\xdf\xa3")])
+def test_sensor_recordings_that_open3d_cannot_open_are_refused(name: str, magic: bytes, tmp_path: Path) -> None:
+    pytest.importorskip("open3d")
+    (tmp_path / name).write_bytes(magic + bytes(100))
+    with pytest.raises(SourceError, match="Open3D cannot open it"):
+        open_source(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["MCAP", "ROS 2 bag of MCAP", "ROS 2 bag of sqlite3"])
@@ -177,7 +213,7 @@ def test_other_readers_of_ros_2_read_our_bags(written: dict[str, Path], name: st
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
         assert set(counts.values()) == {30}
         connection = next(c for c in reader.connections if c.topic == "/camera/color/camera_info")
-        info = typestore.deserialize_cdr(next(reader.messages([connection]))[2], connection.msgtype)
+        info: Any = typestore.deserialize_cdr(next(reader.messages([connection]))[2], connection.msgtype)
         np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), frame.camera.K)
     file = path if path.is_file() else next(iter(path.glob("*.mcap")), None)
     if file is not None:

@@ -21,7 +21,8 @@ from page_runtime.capture.child_process import ChildEnd, ChildProcess, pickled
 from page_runtime.capture.events import SourceDied, SourceEnded, SourceRunning, SourceStalled, SourceStarted
 from page_runtime.capture.frame_ring import SLOTS, RingReader, RingWriter
 from page_runtime.capture.frame_service import DeviceUnavailable
-from page_runtime.capture.supervision import SUPERSEDED, Patience, SourceLost, SupervisedSource
+from page_runtime.capture.patience import Patience
+from page_runtime.capture.supervision import SUPERSEDED, SourceLost, SupervisedSource
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import RecordedFrame
 
@@ -141,6 +142,17 @@ def test_an_error_that_a_new_start_cannot_mend_is_raised(kind: str, error: type[
         pytest.raises(error, match=match),
     ):
         next(iter(source))
+
+
+def test_a_callback_that_fails_is_an_error_of_the_source_and_leaves_no_child() -> None:
+    def fail(_: object) -> None:
+        raise RuntimeError("the application's own fault")
+
+    before = len(children())
+    with SupervisedSource(live_sources.count_up, name="test", on_event=fail) as source:
+        with pytest.raises(SourceLost, match="RuntimeError: the application's own fault"):
+            next(iter(source))
+        assert len(children()) == before
 
 
 def test_a_frame_larger_than_the_first_is_a_failure_not_a_corruption() -> None:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
+from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
 from page_runtime.commands.usage import UsageError
 
 EXIT_BAD_INPUT = 2
@@ -23,7 +24,6 @@ EXIT_NO_CAMERA = 3
 EXIT_INTERRUPTED = 130
 # Commands that share a module with another.
 MODULES = {"convert": "record"}
-LAYOUTS = ("recording", "mcap", "ros2-mcap", "ros2-sqlite3", "tum", "pictures", "video")
 
 
 class Parser(argparse.ArgumentParser):
@@ -118,7 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def pairs(sub: argparse.ArgumentParser) -> None:
         sub.add_argument(
-            "--window-ms", metavar="MS", dest="window_s", type=_milliseconds, default=0.02, help=window_help
+            "--window-ms", metavar="MS", dest="window_s", type=_milliseconds, default=WINDOW_S, help=window_help
         )
 
     def limited(sub: argparse.ArgumentParser) -> None:

@@ -103,7 +103,7 @@ def require_depth_header(path: Path) -> ImageHeader:
 def read_color(path: Path) -> NDArray[np.uint8]:
     """(H,W,3) uint8 RGB. An orientation in the file's metadata is ignored: K belongs to the pixels as stored."""
     decoded = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def read_depth(path: Path, *, metres_per_unit: float) -> NDArray[np.float32]:
@@ -130,7 +130,7 @@ def read_mask(path: Path) -> NDArray[np.bool_]:
 def decode_color_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint8]:
     """(H,W,3) uint8 RGB of the bytes of a PNG or JPEG file; where: for the error, a SourceError."""
     decoded = _decode_bytes(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, where=where)
-    return np.ascontiguousarray(decoded[..., ::-1], dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def decode_depth_picture(data: NDArray[np.uint8], *, where: str) -> NDArray[np.uint16]:

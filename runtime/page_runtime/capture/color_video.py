@@ -108,7 +108,7 @@ class Video:
         if not read or self._next != index:
             raise SourceError(f"{self.path}: frame {index} cannot be decoded; copy or record it again")
         self._next = index + 1
-        return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 class VideoWriter:

@@ -20,13 +20,13 @@ from page_runtime.capture.color_depth import INTRINSICS_FILE
 from page_runtime.capture.color_video import VIDEO_NAMES, VideoWriter
 from page_runtime.capture.documents import METRES_PER_MM, TIMES_FILE
 from page_runtime.capture.mcap_recording import SUFFIX, McapRecordingWriter
-from page_runtime.capture.ros_messages import exact_units, messages_of, typestore
+from page_runtime.capture.ros_messages import CALIBRATION_TOPIC, exact_units, messages_of, text_message, typestore
 from page_runtime.capture.tum import METRES_PER_UNIT as TUM_METRES_PER_UNIT
 from page_runtime.image_files import PNG_FASTEST, SourceError, write_color, write_depth
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
 
-LAYOUTS = ("recording", "mcap", "ros2-mcap", "ros2-sqlite3", "tum", "pictures", "video")
+EMPTY = "nothing to write: the source gave no frames"
 # What cameras and data sets count depth in, mm.
 DEPTH_UNITS_MM = (1.0, 0.5, 0.25, 0.2, 0.125, 0.1)
 
@@ -57,8 +57,15 @@ def frame_writer(
         raise FileExistsError(f"{target}: exists already; nothing is ever overwritten, give another name")
     kind = layout_of(target, layout)
     if kind == "mcap":
-        with McapRecordingWriter(target, category=category, part_names=part_names) as writer:
-            yield writer
+        recording = McapRecordingWriter(target, category=category, part_names=part_names)
+        try:
+            with recording:
+                yield recording
+            if not recording.frames:
+                raise SourceError(EMPTY)
+        finally:
+            if not recording.frames:
+                target.unlink()
     elif kind == "recording":
         writer = _Recording(target, category=category, part_names=part_names)
         try:
@@ -106,7 +113,11 @@ class _Recording:
         return self._writer.write(recorded)
 
     def close(self, error: BaseException | None) -> None:
-        if self._writer is not None:
+        if self._writer is None:
+            if error is None:
+                raise SourceError(EMPTY)
+        elif not isinstance(error, OSError):
+            # A full disk leaves .NAME.partial, which `repair` can finish.
             self._writer.__exit__(None if error is None else type(error), error, None)
 
 
@@ -141,7 +152,7 @@ class _Pictures:
 
     def close(self) -> None:
         if self._camera is None:
-            raise SourceError("nothing to write: the source has no frames")
+            raise SourceError(EMPTY)
         document = _intrinsics(self._camera) | {"depth_scale": self._unit_mm}
         (self._folder / INTRINSICS_FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         lines = "".join(f"{time_s!r}\n" for time_s in self._times_s)
@@ -193,7 +204,7 @@ class _Tum:
 
     def close(self) -> None:
         if self._camera is None:
-            raise SourceError("nothing to write: the source has no frames")
+            raise SourceError(EMPTY)
         for name, lines in self._lines.items():
             text = "# timestamp filename\n" + "".join(lines)
             (self._folder / f"{name}.txt").write_text(text, encoding="utf-8")
@@ -216,9 +227,10 @@ class _Bag:
         self._frames = 0
 
     def write(self, recorded: RecordedFrame, *, calibration: str | None = None) -> int:
-        if calibration is not None:
-            self._writer.set_custom_data("calibration", calibration)
-        for message in messages_of(recorded, category=self._category, part_names=self._part_names):
+        messages = list(messages_of(recorded, category=self._category, part_names=self._part_names))
+        if calibration is not None and CALIBRATION_TOPIC not in self._connections:
+            messages.append(text_message(CALIBRATION_TOPIC, messages[0].time_ns, calibration))
+        for message in messages:
             if message.topic not in self._connections:
                 self._connections[message.topic] = self._writer.add_connection(
                     message.topic, message.kind, typestore=self._typestore
@@ -229,6 +241,8 @@ class _Bag:
 
     def close(self) -> None:
         self._writer.close()
+        if not self._frames:
+            raise SourceError(EMPTY)
 
 
 def exact_unit_mm(recorded: RecordedFrame) -> float:

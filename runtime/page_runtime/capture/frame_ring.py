@@ -98,7 +98,7 @@ class RingReader:
         if content.metres_per_unit is None:
             depth_m = depth_place.astype(np.float32, copy=True)
         else:
-            depth_m = depth_in_metres(depth_place, metres_per_unit=content.metres_per_unit)
+            depth_m = depth_in_metres(depth_place.view(np.uint16), metres_per_unit=content.metres_per_unit)
         return (color, depth_m) if int(number[0]) == content.number else None
 
     def close(self) -> None:

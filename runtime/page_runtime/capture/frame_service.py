@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import pickle
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,5 +86,5 @@ def serve_frames(factory: Factory, end: ChildEnd) -> None:
         end.send(ServiceEnded())
 
 
-def _closable(frames: Iterator[LiveFrame]) -> Iterator[LiveFrame]:
+def _closable(frames: Iterator[LiveFrame]) -> Generator[LiveFrame, None, None]:
     yield from frames

@@ -154,10 +154,10 @@ class McapFile:
         for offset, opcode, body in self._records():
             try:
                 found = _unpacked(opcode, body)
-            except Exception as error:
+            except SourceError:
+                raise
+            except Exception:
                 # mcap, lz4 and zstandard raise six unrelated types on damaged bytes, RuntimeError among them.
-                if isinstance(error, ImportError):
-                    raise
                 contents.missed[BYTES_LOST] += len(body)
                 continue
             number = 0

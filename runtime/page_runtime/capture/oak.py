@@ -29,7 +29,8 @@ from page_runtime.camera import Camera
 from page_runtime.capture.child_process import ChildEnd, ChildProcess, Task, pickled
 from page_runtime.capture.events import SourceEvent
 from page_runtime.capture.frame_service import DeviceUnavailable, LiveFrame
-from page_runtime.capture.pairing import WINDOW_S, Pair, Pairing, Stream
+from page_runtime.capture.layouts import WINDOW_S
+from page_runtime.capture.pairing import Pair, Pairing, Stream
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import require_central
@@ -143,7 +144,8 @@ def oak_frames(stopping: threading.Event, *, settings: OakSettings) -> Iterator[
     wanted = [d for d in available if settings.device in ("", d.getDeviceId(), d.name)]
     if not wanted:
         raise DeviceUnavailable(f"no OAK camera found; {WHAT_TO_CHECK}")
-    with depthai.Device(wanted[0]) as device, depthai.Pipeline(device) as pipeline:
+    device = depthai.Device(wanted[0])
+    with device, depthai.Pipeline(device) as pipeline:
         pipeline.setAutoCalibrationMode(depthai.Pipeline.AutoCalibrationMode.OFF)
         calibration = json.dumps(device.readCalibration().eepromToJson())
         color, depth = _device_pipeline(depthai, pipeline, settings)
@@ -191,7 +193,10 @@ def paired_frames(
     when the device starts anew.
     """
     pairing: Pairing[Any] = Pairing(window_s=window_s)
-    queues = {name: out.createOutputQueue(QUEUE_SIZE, False) for name, out in (("color", color), ("depth", depth))}
+    queues: dict[Stream, Any] = {
+        "color": color.createOutputQueue(QUEUE_SIZE, False),
+        "depth": depth.createOutputQueue(QUEUE_SIZE, False),
+    }
     numbers = _Numbers()
     pipeline.start()
     while not stopping.is_set():
@@ -234,7 +239,8 @@ def _received(queues: dict[Stream, Any]) -> list[tuple[Stream, Any]]:
     for stream, queue in queues.items():
         # Queues close when a pipeline stops, with what they still hold.
         with contextlib.suppress(depthai.MessageQueue.QueueException):
-            found += [(stream, message) for message in queue.tryGetAll()]
+            for message in queue.tryGetAll():
+                found.append((stream, message))
     if not found:
         time.sleep(1e-3)
     return found

@@ -18,12 +18,12 @@ from statistics import median
 from typing import Generic, Literal, TypeVar
 
 from page_runtime.capture.counts import FrameCounts
+from page_runtime.capture.layouts import WINDOW_S
 from page_runtime.image_files import SourceError
 
 Stream = Literal["color", "depth"]
 T = TypeVar("T")
 
-WINDOW_S = 0.02
 CAPACITY = 64
 PATIENCE = 60
 CLOCK_JUMP_S = 1.0

@@ -9,8 +9,8 @@ from page_runtime.capture.color_depth import INTRINSICS_FILE, read_color_depth
 from page_runtime.capture.color_video import VIDEO_NAMES, color_video, read_color_video
 from page_runtime.capture.depthai_mcap import is_depthai, read_depthai
 from page_runtime.capture.documents import found_in
+from page_runtime.capture.layouts import WINDOW_S
 from page_runtime.capture.mcap_file import McapFile
-from page_runtime.capture.pairing import WINDOW_S
 from page_runtime.capture.reartmix import read_reartmix
 from page_runtime.capture.ros_bag import MessageStore, SqliteFile, bag_files, read_stores
 from page_runtime.capture.sensor_recordings import is_kinect_video, is_realsense_bag, read_kinect, read_realsense

@@ -51,9 +51,10 @@ class SqliteFile:
     """The messages of one sqlite3 file of a bag, through rosbags."""
 
     def __init__(self, path: Path) -> None:
-        ros.typestore()
-        from rosbags.rosbag2 import Reader
-
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError as error:
+            raise SourceError(ros.MISSING) from error
         self.path = path
         self.attachments: dict[str, bytes] = {}
         self.missed: dict[str, int] = {}
@@ -106,11 +107,13 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
     color, depth = _topics(path, kinds, by_topic)
     camera, distortion = _camera(path, color, kinds, by_topic)
     topic_streams: tuple[tuple[str, Stream], ...] = ((color, "color"), (depth, "depth"))
-    in_order = sorted(
+    in_order: list[tuple[MessageStore, MessageRef, Stream]] = sorted(
         ((store, ref, stream) for topic, stream in topic_streams for store, ref in by_topic[topic]),
         key=lambda item: item[1].log_time_ns,
     )
-    readings = [(ros.stamp_ns(ref.head) * 1e-9, stream, (store, ref)) for store, ref, stream in in_order]
+    readings: list[tuple[float, Stream, tuple[MessageStore, MessageRef]]] = []
+    for store, ref, stream in in_order:
+        readings.append((ros.stamp_ns(ref.head) * 1e-9, stream, (store, ref)))
     pairs, counts = pair_recorded(readings, window_s=window_s)
     missed: Counter[str] = Counter()
     for store in stores:
@@ -120,7 +123,7 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
         _entry(path, pair, index, camera, distortion, kinds, facts.get(ros.stamp_ns(pair.color[1].head)))
         for index, pair in enumerate(pairs)
     )
-    calibration = next((store.attachments[CALIBRATION_FILE] for store in stores if store.attachments), None)
+    calibration = _calibration(stores, by_topic.get(ros.CALIBRATION_TOPIC, []))
     known = next(iter(facts.values()), {})
     category, parts = known.get("category"), known.get("parts")
     return require_playable(
@@ -131,9 +134,17 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
             category,
             tuple(parts) if category is not None and parts else None,
             replace(counts, missed=dict(missed)),
-            None if calibration is None else calibration.decode("utf-8", "replace"),
+            calibration,
         )
     )
+
+
+def _calibration(stores: list[MessageStore], messages: list[tuple[MessageStore, MessageRef]]) -> str | None:
+    """What the camera says of itself: an attachment in MCAP, a message in bags."""
+    for store in stores:
+        if CALIBRATION_FILE in store.attachments:
+            return store.attachments[CALIBRATION_FILE].decode("utf-8", "replace")
+    return _first(messages, ros.STRING).data if messages else None
 
 
 def _topics(path: Path, kinds: dict[str, str], by_topic: dict[str, Any]) -> tuple[str, str]:

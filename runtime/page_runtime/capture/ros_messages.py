@@ -26,6 +26,7 @@ INFO_TOPIC = "/camera/color/camera_info"
 DEPTH_TOPIC = "/camera/aligned_depth_to_color/image_raw"
 DEPTH_INFO_TOPIC = "/camera/aligned_depth_to_color/camera_info"
 FACTS_TOPIC = "/page_edge/frame"
+CALIBRATION_TOPIC = "/page_edge/calibration"
 FRAME_ID = "camera_color_optical_frame"
 
 IMAGE, COMPRESSED, INFO, STRING = (
@@ -34,6 +35,7 @@ IMAGE, COMPRESSED, INFO, STRING = (
     "sensor_msgs/msg/CameraInfo",
     "std_msgs/msg/String",
 )
+MISSING = "ROS 2 bags need rosbags, which is not installed; pip install 'page-edge[ros]'"
 METRES_PER_UNIT = 1e-3
 COLOR_ENCODINGS = {"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB}
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
@@ -56,7 +58,7 @@ def typestore() -> Any:
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise SourceError("ROS 2 bags need rosbags, which is not installed; pip install 'page-edge[ros]'") from error
+        raise SourceError(MISSING) from error
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -80,15 +82,19 @@ def messages_of(recorded: RecordedFrame, *, category: str | None, part_names: tu
     color_ns = round(frame.timestamp_s * 1e9)
     depth_ns = round((frame.timestamp_s + frame.skew_s) * 1e9)
     facts = json.dumps(_facts(recorded, category, part_names), allow_nan=False)
-    types = typestore().types
     yield _message(INFO_TOPIC, color_ns, _camera_info(frame.camera, color_ns))
     yield _message(DEPTH_INFO_TOPIC, depth_ns, _camera_info(frame.camera, depth_ns))
-    yield _message(FACTS_TOPIC, color_ns, types[STRING](data=facts))
+    yield text_message(FACTS_TOPIC, color_ns, facts)
     yield _message(COLOR_TOPIC, color_ns, _image(frame.color.reshape(-1), "rgb8", frame.camera, 3, color_ns))
     units = exact_units(frame.depth_m, metres_per_unit=METRES_PER_UNIT)
     pixels, encoding, size = (frame.depth_m, "32FC1", 4) if units is None else (units, "16UC1", 2)
     image = _image(np.ascontiguousarray(pixels).view(np.uint8).reshape(-1), encoding, frame.camera, size, depth_ns)
     yield _message(DEPTH_TOPIC, depth_ns, image)
+
+
+def text_message(topic: str, time_ns: int, text: str) -> Message:
+    """A String."""
+    return _message(topic, time_ns, typestore().types[STRING](data=text))
 
 
 def exact_units(depth_m: NDArray[np.float32], *, metres_per_unit: float) -> NDArray[np.uint16] | None:

@@ -16,7 +16,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import wait
 from types import TracebackType
@@ -34,7 +34,6 @@ from page_runtime.capture.events import (
     SourceStalled,
     SourceStarted,
 )
-from page_runtime.capture.frame_ring import RingReader
 from page_runtime.capture.frame_service import (
     DeviceUnavailable,
     Factory,
@@ -43,6 +42,7 @@ from page_runtime.capture.frame_service import (
     ServiceFailed,
     serve_frames,
 )
+from page_runtime.capture.patience import Patience, Watch
 from page_runtime.frame import RgbdFrame
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import RecordedFrame
@@ -58,24 +58,6 @@ _Pixels = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 class SourceLost(SourceError):
     """A live source died and could not be brought back."""
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """How long to wait for what, seconds.
-
-    stalled_s: without a frame until the source is reported stalled. restart_s: until its process is replaced.
-    start_s: from the start of a process to its first frame. first_pause_s, longest_pause_s: before a new start.
-    give_up_s: without a frame until the source is lost; max_first_starts: the same by starts, before the first frame.
-    """
-
-    stalled_s: float = 0.5
-    restart_s: float = 3.0
-    start_s: float = 20.0
-    first_pause_s: float = 0.1
-    longest_pause_s: float = 5.0
-    give_up_s: float = 60.0
-    max_first_starts: int = 3
 
 
 class SupervisedSource:
@@ -126,11 +108,15 @@ class SupervisedSource:
     ) -> None:
         self.close()
 
-    def close(self) -> None:
-        """End the child and the thread; everything is given back when this returns."""
+    def stop(self) -> None:
+        """Ask the source to end, which ends the iteration; does not wait, and may be called by a signal's handler."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
+
+    def close(self) -> None:
+        """End the child and the thread; everything is given back when this returns."""
+        self.stop()
         self._thread.join()
 
     @property
@@ -176,8 +162,9 @@ class SupervisedSource:
     def _supervise(self) -> None:
         try:
             self._run_children()
-        except OSError as error:
-            self._error = SourceLost(f"{self.name}: cannot run its process ({error})")
+        except Exception as error:
+            # on_event is the application's, and a thread that dies in silence would look like a source that ended.
+            self._error = SourceLost(f"{self.name}: its supervision failed ({type(error).__name__}: {error})")
         finally:
             with self._changed:
                 self._finished = True
@@ -189,9 +176,9 @@ class SupervisedSource:
             attempt += 1
             before = self._received
             child = ChildProcess(self._task, environment=self._environment)
-            self._tell(SourceStarted(child.pid, attempt))
-            watch = _Watch(child, self._patience)
+            watch = Watch(child, self._patience)
             try:
+                self._tell(SourceStarted(child.pid, attempt))
                 reason = self._watch(watch)
             finally:
                 self._retire(watch)
@@ -212,7 +199,7 @@ class SupervisedSource:
                 self._changed.wait_for(lambda: self._closing, timeout=pause_s)
             pause_s = min(2 * pause_s, self._patience.longest_pause_s)
 
-    def _watch(self, watch: _Watch) -> str | None:
+    def _watch(self, watch: Watch) -> str | None:
         """Serve one child; returns why it is to be replaced, None when there is nothing more to wait for."""
         while not self._closing:
             if wait([watch.child.messages], timeout=POLL_S):
@@ -237,7 +224,7 @@ class SupervisedSource:
                 return reason
         return None
 
-    def _accept(self, ready: FrameReady, watch: _Watch) -> None:
+    def _accept(self, ready: FrameReady, watch: Watch) -> None:
         now_s = time.monotonic()
         outage_s = None if self._last_frame_s is None else now_s - self._last_frame_s
         if watch.last_frame_s is None or watch.told_stalled:
@@ -263,7 +250,7 @@ class SupervisedSource:
             return None
         return failed.reason
 
-    def _retire(self, watch: _Watch) -> None:
+    def _retire(self, watch: Watch) -> None:
         """End the child and give its ring back; a frame that still waits in it is copied out first."""
         with self._changed:
             if self._newest is not None:
@@ -277,36 +264,3 @@ class SupervisedSource:
             unpaired = Counter(self._current.unpaired) + Counter({WITH_PROCESS: lost})
             self._earlier = total((self._earlier, replace(self._current, unpaired=dict(unpaired), waiting=0)))
             self._current = FrameCounts(median_skew_s=self._earlier.median_skew_s)
-
-
-class _Watch:
-    """When a child last gave a frame, and what follows from it."""
-
-    def __init__(self, child: ChildProcess, patience: Patience) -> None:
-        self.child, self.patience = child, patience
-        self.ring = RingReader(child.memory)
-        self.last_frame_s: float | None = None
-        self.told_stalled = False
-
-    @property
-    def age_s(self) -> float:
-        """Since the last frame, or since the start."""
-        return time.monotonic() - (self.last_frame_s or self.child.started_s)
-
-    def seen(self, now_s: float) -> None:
-        """A frame came."""
-        self.last_frame_s, self.told_stalled = now_s, False
-
-    def just_stalled(self) -> bool:
-        """Whether it is time to report a stall, once for each."""
-        if self.last_frame_s is None or self.told_stalled or self.age_s <= self.patience.stalled_s:
-            return False
-        self.told_stalled = True
-        return True
-
-    def overdue(self) -> str | None:
-        """Why the child is to be replaced, None while it is not."""
-        if self.last_frame_s is None:
-            limit_s = self.patience.start_s
-            return f"no frame within {limit_s:g} s of its start" if self.age_s > limit_s else None
-        return f"stalled for {self.age_s:.1f} s" if self.age_s > self.patience.restart_s else None

@@ -67,11 +67,12 @@ def require_fitting(bundle: Path, network: Network, name: str, source: FrameSour
 
 def require_region(name: str, source: FrameSource, region: Region | None) -> None:
     """UsageError unless `region` lies in the pictures, or the source says where objects are."""
+    if not isinstance(source, Source):
+        return  # A camera's pictures have a size when the first one is there.
     if region is None:
-        if not isinstance(source, Source) or not source.has_regions:
+        if not source.has_regions:
             raise UsageError(f"{name}: this {source.format} does not say where the object is; pass --region x,y,w,h")
-        return
-    if isinstance(source, Source):
+    else:
         for width, height in {(entry.camera.width, entry.camera.height) for entry in source.entries}:
             _require_inside(region, width, height)
 

@@ -10,6 +10,7 @@ from page_runtime.commands.outputs import require_file_place
 from page_runtime.commands.sources import frames_of, is_live, opened, total_of
 from page_runtime.commands.terminal import Progress
 from page_runtime.commands.usage import UsageError
+from page_runtime.image_files import SourceError
 
 
 def record(source: str, *, target: Path, frames: int, window_s: float, quiet: bool) -> None:
@@ -32,15 +33,28 @@ def _copy(name: str, target: Path, layout: str | None, limit: int, window_s: flo
             f"{partial_of(target)}: an unfinished recording is in the way; finish it (page-runtime repair) or remove it"
         )
     require_file_place(target, option=label)
-    count = 0
+    count, failure = 0, None
     with opened(name, window_s=window_s) as source:
         with (
             frame_writer(target, layout, category=source.category, part_names=tuple(source.part_names or ())) as writer,
             Progress(label, total_of(source, limit), quiet=quiet) as progress,
         ):
-            for recorded in frames_of(source, limit):
+            frames = frames_of(source, limit)
+            while True:
+                try:
+                    recorded = next(frames, None)
+                except SourceError as error:
+                    # What a camera gave before it was lost is worth keeping.
+                    if not is_live(name) or not count:
+                        raise
+                    failure = error
+                    break
+                if recorded is None:
+                    break
                 writer.write(recorded, calibration=source.calibration)
                 count += 1
                 progress.advance()
         if not quiet:
             sys.stderr.write(f"page-runtime: {count} frames in {target}\n")
+    if failure is not None:
+        raise failure

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from page_runtime.commands.inputs import Inputs, estimates, load_network, require_fitting, require_region
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, text_output
-from page_runtime.commands.sources import frames_of, opened, total_of
+from page_runtime.commands.sources import frames_of, is_live, opened, total_of
 from page_runtime.commands.terminal import Progress
+from page_runtime.commands.usage import UsageError
 from page_runtime.overlay import draw
 from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
@@ -29,11 +30,13 @@ def run(
 ) -> None:
     """Estimate every frame of `source`, or so many, and write the lines to `out` (None: standard output)."""
     network, threads = load_network(bundle, threads=threads, looks=looks)
+    require_file_place(out, option="--out")
+    require_folder_place(overlay, option="--overlay")
+    if region is None and is_live(source):
+        raise UsageError(f"{source}: a camera does not say where the object is; pass --region x,y,w,h")
     with opened(source, window_s=window_s) as found:
         require_fitting(bundle, network, source, found)
         require_region(source, found, region)
-        require_file_place(out, option="--out")
-        require_folder_place(overlay, option="--overlay")
         _run(Inputs(network, found, threads, looks, region), out, overlay, frames, quiet=quiet)
 
 

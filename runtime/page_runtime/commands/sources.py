@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from page_runtime.capture.events import SourceEvent
 from page_runtime.capture.oak import is_oak, open_oak
 from page_runtime.capture.playback import open_source
+from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.commands.usage import UsageError
 from page_runtime.recorded import FrameSource, RecordedFrame, Source
 
@@ -55,12 +59,31 @@ def report_losses(name: str, source: FrameSource) -> None:
 
 
 def frames_of(source: FrameSource, limit: int) -> Iterator[RecordedFrame]:
-    """At most `limit` frames, all for 0; for a camera Ctrl-C is the usual end."""
-    try:
+    """At most `limit` frames, all for 0. For a camera Ctrl-C and SIGTERM are the usual end: whatever is being done with
+    the frame of the moment is done, and the iteration ends; a second Ctrl-C interrupts."""
+    if isinstance(source, SupervisedSource):
+        with _stopped_by_signals(source):
+            yield from islice(source, limit or None)
+    else:
         yield from islice(source, limit or None)
-    except KeyboardInterrupt:
-        if isinstance(source, Source):
-            raise
+
+
+@contextmanager
+def _stopped_by_signals(source: SupervisedSource) -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _: object) -> None:
+        signal.signal(number, before[number])
+        source.stop()
+
+    before: dict[int, Any] = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def total_of(source: FrameSource, limit: int) -> int:
