@@ -28,7 +28,7 @@ class Outlines:
     """pixels: (n,2) of the depth picture. depth_m: (n,)."""
 
     pixels: Array
-    depth_m: NDArray[np.float32]
+    depth_m: Array
 
     def __len__(self) -> int:
         return len(self.depth_m)
@@ -54,7 +54,7 @@ def depth_outlines(depth_m: NDArray[np.float32]) -> Outlines:
     return Outlines(found.pixels[some], found.depth_m[some])
 
 
-def _jumps(depth_m: NDArray[np.float32]) -> Iterator[tuple[Array, NDArray[np.float32]]]:
+def _jumps(depth_m: NDArray[np.float32]) -> Iterator[tuple[Array, Array]]:
     """(pixels (n,2), near depths (n,)) of jumps along rows, for each width of gap."""
     is_gap = np.ones((depth_m.shape[0], depth_m.shape[1] - 1), bool)
     for step in range(1, MAX_GAP_PX + 2):

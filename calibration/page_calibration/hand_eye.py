@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from page_calibration.calibration import CalibrationError
+from page_calibration.rotation_vectors import rotation_of, vector_of
 from page_runtime.geometry import Array, invert, rotation_angle, transform_from
 
 Mount = Literal["eye-in-hand", "eye-to-hand"]
@@ -88,7 +88,7 @@ def _require_turns(A: Array) -> None:
     axes = np.array([
         axis / np.linalg.norm(axis)
         for i, j in combinations(range(len(A)), 2)
-        if np.linalg.norm(axis := _log(A[i, :3, :3].T @ A[j, :3, :3])) > np.radians(SAME_ROTATION_DEG)
+        if np.linalg.norm(axis := vector_of(A[i, :3, :3].T @ A[j, :3, :3])) > np.radians(SAME_ROTATION_DEG)
     ])  # fmt: skip
     apart = np.degrees(np.arccos(np.clip(np.abs(axes @ axes.T), 0.0, 1.0))).max()
     if apart < MIN_AXES_DEG:
@@ -104,7 +104,7 @@ def park_martin(A: Array, B: Array) -> Array:
     pairs = list(combinations(range(len(A)), 2))
     for i, j in pairs:
         motion_a, motion_b = invert(A[j]) @ A[i], B[j] @ invert(B[i])
-        turns += np.outer(_log(motion_b[:3, :3]), _log(motion_a[:3, :3]))
+        turns += np.outer(vector_of(motion_b[:3, :3]), vector_of(motion_a[:3, :3]))
     U, _, Vt = np.linalg.svd(turns)
     R = Vt.T @ np.diag([1.0, 1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T
     for i, j in pairs:
@@ -131,7 +131,7 @@ def _refined(A: Array, B: Array, start: Array) -> tuple[Array, Array, Array]:
         X, Z = placed(parameters)
         # In the camera, where the target's pose was measured: B_i against X^-1 A_i^-1 Z.
         D = invert(A @ X) @ Z @ invert(B)
-        return np.concatenate([np.array([_log(one) for one in D[:, :3, :3]]), D[:, :3, 3]], axis=1)
+        return np.concatenate([np.array([vector_of(one) for one in D[:, :3, :3]]), D[:, :3, 3]], axis=1)
 
     parameters = np.zeros(12)
     spread = np.ones(2)
@@ -149,14 +149,9 @@ def _refined(A: Array, B: Array, start: Array) -> tuple[Array, Array, Array]:
     return X, Z, np.sqrt(np.diag(covariance)[:6])
 
 
-def _log(R: Array) -> Array:
-    """Rotation vector (3,) of R (3,3)."""
-    return cv2.Rodrigues(np.ascontiguousarray(R))[0].ravel()
-
-
 def _exp(twist: Array) -> Array:
     """T (4,4) of a small turn (rad) and shift (m)."""
-    return transform_from(cv2.Rodrigues(twist[:3])[0], twist[3:])
+    return transform_from(rotation_of(twist[:3]), twist[3:])
 
 
 def _mean(T: Array) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from page_calibration.board import View
 from page_calibration.calibration import CalibrationError, Deviations
 from page_calibration.pose import board_pose
+from page_calibration.rotation_vectors import rotation_of
 from page_calibration.views import require_enough_views, require_known
 from page_runtime.camera import Camera
 from page_runtime.geometry import Array, transform_from
@@ -97,11 +98,13 @@ def _fitted(views: Sequence[View], size: tuple[int, int], lens: LensKind) -> tup
             f"OpenCV finds no {lens} camera for these {len(views)} views ({error.err}); is the board's size right?"
         ) from error
     poses = tuple(
-        transform_from(cv2.Rodrigues(np.asarray(r, dtype=float))[0], np.asarray(t, dtype=float).ravel())
+        transform_from(rotation_of(np.asarray(r, dtype=float)), np.asarray(t, dtype=float).ravel())
         for r, t in zip(rotations, translations, strict=True)
     )
     try:
-        return RawCamera(Camera(K, *size), Distortion(model, np.ravel(D)[:count])), poses
+        return RawCamera(
+            Camera(np.asarray(K, dtype=float), *size), Distortion(model, np.asarray(D, dtype=float).ravel()[:count])
+        ), poses
     except ValueError as error:
         raise CalibrationError(f"the views leave K open: the fit ended at {error}") from error
 
@@ -149,7 +152,7 @@ def _jacobians(raw: RawCamera, view: View, T_camera_board: Array) -> tuple[Array
     def pixels(parameters: Array, twist: Array) -> Array:
         fx, fy, cx, cy = parameters[:4]
         camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), raw.camera.width, raw.camera.height)
-        T = transform_from(cv2.Rodrigues(twist[:3])[0], twist[3:]) @ T_camera_board
+        T = transform_from(rotation_of(twist[:3]), twist[3:]) @ T_camera_board
         moved = RawCamera(camera, Distortion(raw.distortion.model, parameters[4:]))
         return moved.project(view.points_board @ T[:3, :3].T + T[:3, 3]).ravel()
 

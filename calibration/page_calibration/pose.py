@@ -10,6 +10,7 @@ import numpy as np
 
 from page_calibration.board import View
 from page_calibration.calibration import CalibrationError
+from page_calibration.rotation_vectors import rotation_of
 from page_runtime.geometry import Array, transform_from
 from page_runtime.lens import RawCamera
 
@@ -39,7 +40,9 @@ def board_pose(raw: RawCamera, view: View) -> BoardPose:
     solutions = []
     for rotation, translation in zip(rotations, translations, strict=True):
         refined = cv2.solvePnPRefineLM(points, plane, np.eye(3), None, rotation.copy(), translation.copy())
-        T = transform_from(cv2.Rodrigues(refined[0])[0], np.ravel(refined[1]))
+        T = transform_from(
+            rotation_of(np.asarray(refined[0], dtype=float)), np.asarray(refined[1], dtype=float).ravel()
+        )
         residuals = view.pixels[has_ray] - raw.project(points @ T[:3, :3].T + T[:3, 3])
         solutions.append((float(np.sqrt((residuals**2).sum(axis=1).mean())), T))
     solutions.sort(key=lambda solution: solution[0] if np.isfinite(solution[0]) else np.inf)
@@ -57,7 +60,7 @@ def _deviations(raw: RawCamera, points_board: Array, T_camera_board: Array, rms_
             twist = np.zeros(6)
             twist[i] = sign * step
             T = T_camera_board.copy()
-            T[:3, :3] = cv2.Rodrigues(twist[:3])[0] @ T[:3, :3]
+            T[:3, :3] = rotation_of(twist[:3]) @ T[:3, :3]
             T[:3, 3] += twist[3:]
             ends.append(raw.project(points_board @ T[:3, :3].T + T[:3, 3]).ravel())
         columns.append((ends[0] - ends[1]) / (2.0 * step))

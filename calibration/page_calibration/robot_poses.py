@@ -13,12 +13,12 @@ import re
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from page_calibration.calibration import CalibrationError
 from page_calibration.camera_json import matrix
 from page_calibration.formats.document import open_document
+from page_calibration.rotation_vectors import rotation_of
 from page_runtime.capture.documents import field, listed, numbers
 from page_runtime.geometry import Array, require_rigid, transform_from
 
@@ -50,7 +50,7 @@ def read_visp_pose(path: Path) -> Array:
     rows: Any = listed(field(document.data, "data", where=where), where=f"{where}, data")
     values = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows]
     pose = np.array(numbers(values, 6, where=f"{where}, data"))
-    return _checked(transform_from(cv2.Rodrigues(pose[3:])[0], pose[:3]), where)
+    return _checked(transform_from(rotation_of(pose[3:]), pose[:3]), where)
 
 
 def _number(stem: str) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from page_calibration.board import View
 from page_calibration.calibration import CalibrationError, Deviations
 from page_calibration.pose import board_pose
+from page_calibration.rotation_vectors import vector_of
 from page_runtime.geometry import Array, invert, transform_from
 from page_runtime.lens import RawCamera
 
@@ -56,7 +57,7 @@ def calibrate_stereo(a: RawCamera, b: RawCamera, views_a: Sequence[View], views_
     start = _start(a, b, views_a, by_name, {pair.name for pair in pairs})
     T_b_a, rms = _fitted(pairs, b, start)
     left_out = [_fitted(pairs[:i] + pairs[i + 1 :], b, T_b_a)[0] for i in range(len(pairs))]
-    turns = np.array([cv2.Rodrigues(T[:3, :3] @ T_b_a[:3, :3].T)[0].ravel() for T in left_out])
+    turns = np.array([vector_of(T[:3, :3] @ T_b_a[:3, :3].T) for T in left_out])
     shifts = np.array([T[:3, 3] - T_b_a[:3, 3] for T in left_out])
     share = np.sqrt((len(pairs) - 1) / len(pairs))
     deviations = Deviations(
@@ -104,7 +105,7 @@ def _fitted(pairs: Sequence[_Pair], b: RawCamera, start: Array) -> tuple[Array, 
         boards, pixels_a, pixels_b, K, np.zeros(5), K, np.zeros(5), (b.camera.width, b.camera.height),
         start[:3, :3].copy(), start[:3, 3:].copy(), flags=flags, criteria=_CRITERIA,
     )  # fmt: skip
-    R, t, errors = np.asarray(result[5]), np.asarray(result[6]), np.asarray(result[11])
+    R, t, errors = (np.asarray(result[i], dtype=float) for i in (5, 6, 11))
     return transform_from(R, t.ravel()), np.sqrt((errors**2).mean(axis=1))
 
 

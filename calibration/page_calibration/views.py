@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_calibration.board import View
 from page_calibration.calibration import CalibrationError, Deviations
@@ -41,7 +42,7 @@ def _moved(a: View, b: View) -> float:
     return float(np.linalg.norm(a.pixels[i] - b.pixels[j], axis=1).max()) if len(i) else np.inf
 
 
-def covered_cells(views: Sequence[View], size: tuple[int, int]) -> Array:
+def covered_cells(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.bool_]:
     """(3,4) bool, upper left first: whether any corner was seen in that part of the picture."""
     pixels = np.concatenate([view.pixels for view in views])
     columns = np.clip((pixels[:, 0] + 0.5) / size[0] * GRID[0], 0, GRID[0] - 1).astype(int)

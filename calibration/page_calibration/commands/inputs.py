@@ -22,8 +22,9 @@ def board_of(options: dict[str, Any]) -> Board:
     given = {name: options.pop(name) for name in BOARD_OPTIONS}
     if given["squares"] is None or given["square_mm"] is None:
         raise UsageError("--squares and --square-mm: expected the board's, as it is printed")
+    columns, rows = given["squares"]
     return Board(
-        given["board"], *given["squares"], given["square_mm"] * 1e-3, given["marker_mm"] * 1e-3, given["dictionary"],
+        given["board"], columns, rows, given["square_mm"] * 1e-3, given["marker_mm"] * 1e-3, given["dictionary"],
         given["legacy"],
     )  # fmt: skip
 

@@ -38,7 +38,10 @@ def read_camera(document: Document) -> Read:
     where, data = str(document.path), document.data
     fx, fy, cx, cy = numbers([data[name] for name in ("fx", "fy", "cx", "cy")], 4, where=where)
     stated = [data.get(name) for name in ("width", "height")]
-    size = None if None in stated else tuple(int(value) for value in numbers(stated, 2, where=f"{where}, size"))
+    size = None
+    if None not in stated:
+        width, height = numbers(stated, 2, where=f"{where}, size")
+        size = int(width), int(height)
     camera = Camera(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), *document.size_of(size))
     return Read((CalibratedCamera(CAMERA, CAMERA, RawCamera(camera), _unit(data, where=where)),))
 

@@ -94,7 +94,10 @@ def parse_yaml(text: str) -> Any:
     class Loader(yaml.SafeLoader):
         """Takes OpenCV's own tags, which are dictionaries."""
 
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, True))
+    def _mapping(loader: Loader, node: Any) -> dict[Any, Any]:
+        return loader.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _mapping)
     try:
         return yaml.load(text, Loader)
     except yaml.YAMLError as error:
