@@ -26,7 +26,7 @@ from page_runtime.capture.supervision import SUPERSEDED, SourceLost, SupervisedS
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import RecordedFrame
 
-HASTY = Patience(stalled_s=0.4, restart_s=1.0, first_pause_s=0.05, give_up_s=5.0)
+HASTY = Patience(stalled_s=0.4, restart_s=1.0, first_pause_s=0.05, give_up_s=30.0)
 TESTS = Path(__file__).parent
 
 
@@ -133,7 +133,7 @@ def test_a_stall_is_reported_within_a_second_and_the_process_replaced(tmp_path: 
     [
         ("absent", DeviceUnavailable, "plug one in"),
         ("wrong", SourceError, "never in sync"),
-        ("crash", SourceLost, r"3 starts.*RuntimeError: X_LINK_ERROR; it wrote: the library's last words"),
+        ("crash", SourceLost, r"lost after \d starts.*RuntimeError: X_LINK_ERROR; it wrote: the library's last words"),
     ],
 )
 def test_an_error_that_a_new_start_cannot_mend_is_raised(kind: str, error: type[SourceError], match: str) -> None:
