@@ -63,7 +63,8 @@ def _jumps(depth_m: NDArray[np.float32]) -> Iterator[tuple[Array, Array]]:
         jump = is_gap & (near > 0) & (np.abs(a - b) > np.maximum(MIN_JUMP_M, MIN_JUMP_SHARE * near))
         rows, columns = np.nonzero(jump)
         is_left = a[jump] < b[jump]
-        yield np.stack([np.where(is_left, columns + 0.5, columns + step - 0.5), rows], axis=1), near[jump]
+        places: Array = np.stack([np.where(is_left, columns + 0.5, columns + step - 0.5), rows], axis=1).astype(float)
+        yield places, near[jump].astype(float)
         is_gap = is_gap[:, :-1] & (depth_m[:, step:-1] == 0)
 
 
