@@ -31,17 +31,18 @@ from page_runtime.capture.frame_service import LiveFrame
 from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
 from page_runtime.capture.supervision import SupervisedSource
-from page_runtime.capture.undistortion import Distortion, undistorted
+from page_runtime.capture.undistortion import undistorted
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.frame import RgbdFrame
+from page_runtime.lens import Distortion
 from page_runtime.recorded import RecordedFrame
 
 EXIT_BAD_INPUT = 2
 WIDTH, HEIGHT, FPS = 640, 480, 30.0
 CAMERA = Camera(np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]]), WIDTH, HEIGHT)
-LENS = Distortion("plumb_bob", (0.26, -0.95, -0.005, 0.003, 1.16))
+LENS = Distortion("brown-conrady", np.array([0.26, -0.95, -0.005, 0.003, 1.16]))
 PACKAGES = ("page-edge", "numpy", "opencv-python-headless", "mcap", "rosbags", "lz4")
 
 

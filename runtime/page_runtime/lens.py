@@ -23,6 +23,12 @@ COUNTS: dict[DistortionModel, tuple[int, ...]] = {
     "brown-conrady": (4, 5, 8, 12, 14),
     "kannala-brandt": (4,),
 }
+# Names of the models in ROS camera_info.
+ROS_MODELS: dict[str, DistortionModel] = {
+    "plumb_bob": "brown-conrady",
+    "rational_polynomial": "brown-conrady",
+    "equidistant": "kannala-brandt",
+}
 # OpenCV's own inversions are fixed-point iterations, which leave the corners of factory-calibrated wide lenses out.
 _NEWTON_STEPS = 30
 _STEP = 1e-6

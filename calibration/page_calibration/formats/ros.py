@@ -21,13 +21,8 @@ from page_calibration.formats.document import Document
 from page_runtime.camera import Camera
 from page_runtime.capture.documents import field, listed, number, numbers
 from page_runtime.geometry import Array, invert, require_rigid, transform_from
-from page_runtime.lens import Distortion, DistortionModel, RawCamera
+from page_runtime.lens import ROS_MODELS, Distortion, RawCamera
 
-MODELS: dict[str, DistortionModel] = {
-    "plumb_bob": "brown-conrady",
-    "rational_polynomial": "brown-conrady",
-    "equidistant": "kannala-brandt",
-}
 PAIR = "rectified pair"
 _PARSER_FIELDS = {
     "K": "camera_matrix", "D": "distortion_coefficients", "R": "rectification_matrix", "P": "projection_matrix",
@@ -125,9 +120,9 @@ def _read(values: dict[str, list[float]], frame: str, model: str, size: tuple[in
     if not K.any():
         raise CalibrationError(f"{where}: K is all zeros, which in ROS means that the camera is not calibrated")
     coefficients = values.get("D", [])
-    if model and model not in MODELS:
-        raise CalibrationError(f"{where}: distortion_model {model!r} is none of {', '.join(MODELS)}")
-    lens = Distortion(MODELS[model], np.array(coefficients)) if model and coefficients else Distortion()
+    if model and model not in ROS_MODELS:
+        raise CalibrationError(f"{where}: distortion_model {model!r} is none of {', '.join(ROS_MODELS)}")
+    lens = Distortion(ROS_MODELS[model], np.array(coefficients)) if model and coefficients else Distortion()
     T_camera_pair, notes = _place(values, where=where)
     world = frame if T_camera_pair is None else PAIR
     T = np.eye(4) if T_camera_pair is None else T_camera_pair

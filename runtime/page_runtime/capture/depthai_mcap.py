@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from page_runtime.camera import Camera
 from page_runtime.capture.mcap_file import McapFile, MessageRef
 from page_runtime.capture.pairing import Stream, pair_recorded
-from page_runtime.capture.undistortion import Distortion, undistorted
+from page_runtime.capture.undistortion import lens_of, undistorted
 from page_runtime.image_files import SourceError, depth_in_metres
+from page_runtime.lens import NO_DISTORTION, Distortion
 from page_runtime.recorded import FrameEntry, Pixels, Source, require_central, require_playable
 
 FORMAT = "depthai recording"
@@ -108,7 +109,7 @@ def _type_name(message: Any) -> str:
     return field.enum_type.values_by_number[message.fb.type].name
 
 
-def _camera(path: Path, message: Any) -> tuple[Camera, Distortion | None]:
+def _camera(path: Path, message: Any) -> tuple[Camera, Distortion]:
     # K of the sensor's picture, and the crop and scale from there to the recorded one.
     try:
         K, M_picture_source = (
@@ -119,11 +120,11 @@ def _camera(path: Path, message: Any) -> tuple[Camera, Distortion | None]:
     except ValueError as error:
         raise SourceError(f"{path}: its colour frames carry no intrinsics ({error})") from error
     require_central(camera, where=str(path))
-    coefficients = tuple(float(value) for value in message.transformation.distortionCoefficients.values)
-    return camera, Distortion("rational_polynomial", coefficients) if any(coefficients) else None
+    coefficients = message.transformation.distortionCoefficients.values
+    return camera, lens_of("rational_polynomial", coefficients, where=str(path)) if any(coefficients) else NO_DISTORTION
 
 
-def _decode(path: Path, color: _Stored, depth: _Stored, camera: Camera, distortion: Distortion | None) -> Pixels:
+def _decode(path: Path, color: _Stored, depth: _Stored, camera: Camera, distortion: Distortion) -> Pixels:
     pixels = _color(path, color.message())
     message = depth.message()
     units = _plane(path, message, np.dtype("<u2"), message.fb.width, message.fb.height)

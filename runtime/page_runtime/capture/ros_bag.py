@@ -22,8 +22,9 @@ from page_runtime.capture import ros_messages as ros
 from page_runtime.capture.mcap_file import Channel, MessageRef
 from page_runtime.capture.mcap_recording import CALIBRATION_FILE
 from page_runtime.capture.pairing import Pair, Stream, pair_recorded
-from page_runtime.capture.undistortion import Distortion, undistorted
+from page_runtime.capture.undistortion import lens_of, undistorted
 from page_runtime.image_files import SourceError
+from page_runtime.lens import NO_DISTORTION, Distortion
 from page_runtime.recorded import FrameEntry, Instance, Pixels, Source, require_central, require_playable
 
 FORMAT = "ROS 2 bag"
@@ -181,7 +182,7 @@ def _first(messages: list[tuple[MessageStore, MessageRef]], kind: str) -> Any:
 
 def _camera(
     path: Path, color: str, kinds: dict[str, str], by_topic: dict[str, list[tuple[MessageStore, MessageRef]]]
-) -> tuple[Camera, Distortion | None]:
+) -> tuple[Camera, Distortion]:
     """The colour camera by the CameraInfo beside the colour topic."""
     namespace = color.removesuffix("/compressed").rsplit("/", 1)[0]
     wanted = f"{namespace}/camera_info"
@@ -200,9 +201,9 @@ def _camera(
     except ValueError as error:
         raise SourceError(f"{path}: {topic}: {error}") from error
     require_central(camera, where=f"{path}: {topic}")
-    if is_rectified or not np.any(info.d):
-        return camera, None
-    return camera, Distortion(info.distortion_model, tuple(float(value) for value in info.d))
+    if is_rectified or not len(info.d):
+        return camera, NO_DISTORTION
+    return camera, lens_of(info.distortion_model, info.d, where=f"{path}: {topic}")
 
 
 def _facts(messages: list[tuple[MessageStore, MessageRef]]) -> dict[int, dict[str, Any]]:
@@ -222,7 +223,7 @@ def _entry(
     pair: Pair[tuple[MessageStore, MessageRef]],
     index: int,
     camera: Camera,
-    distortion: Distortion | None,
+    distortion: Distortion,
     kinds: dict[str, str],
     facts: dict[str, Any] | None,
 ) -> FrameEntry:
@@ -243,7 +244,7 @@ def _decode(
     color: tuple[MessageStore, MessageRef],
     depth: tuple[MessageStore, MessageRef],
     camera: Camera,
-    distortion: Distortion | None,
+    distortion: Distortion,
     kinds: dict[str, str],
     where: str,
 ) -> Pixels:

@@ -18,8 +18,9 @@ from page_runtime.camera import Camera
 from page_runtime.capture.color_depth import INTRINSICS_FILE, depth_unit, folder_camera
 from page_runtime.capture.documents import read_object
 from page_runtime.capture.pairing import Stream, pair_recorded
-from page_runtime.capture.undistortion import Distortion, undistorted
+from page_runtime.capture.undistortion import lens_of, undistorted
 from page_runtime.image_files import SourceError, read_color, read_depth, read_header
+from page_runtime.lens import NO_DISTORTION, Distortion
 from page_runtime.recorded import FrameEntry, Pixels, Source, camera_of_picture, require_playable
 
 FORMAT = "TUM RGB-D sequence"
@@ -103,13 +104,13 @@ def _stamp(text: str, *, where: str) -> float:
         raise SourceError(f"{where}: expected a time in seconds, got {text!r}") from error
 
 
-def _known(path: Path, color: Path) -> tuple[Camera, Distortion | None]:
+def _known(path: Path, color: Path) -> tuple[Camera, Distortion]:
     """The benchmark's calibration by the sequence's name."""
     for name, ((fx, fy, cx, cy), coefficients) in CALIBRATIONS.items():
         if name in path.resolve().name:
             K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             camera = camera_of_picture(K, color, where=str(path), declared_size=(640, 480))
-            return camera, Distortion("plumb_bob", coefficients) if coefficients else None
+            return camera, lens_of("plumb_bob", coefficients, where=name) if coefficients else NO_DISTORTION
     raise SourceError(
         f"{path}: no {INTRINSICS_FILE}, and the folder's name has none of {', '.join(CALIBRATIONS)} in it; "
         "write width, height and intrinsic_matrix (column by column) into that file"
