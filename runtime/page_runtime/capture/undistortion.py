@@ -33,13 +33,18 @@ def undistorted(
     """
     if distortion.is_none:
         return color, depth_m
-    place = _map(camera.K.tobytes(), camera.width, camera.height, distortion.model, distortion.coefficients.tobytes())
-    straight = cv2.remap(color, place, None, cv2.INTER_LINEAR)
-    nearest = cv2.remap(depth_m, place, None, cv2.INTER_NEAREST)
+    columns, rows = _maps(
+        camera.K.tobytes(), camera.width, camera.height, distortion.model, distortion.coefficients.tobytes()
+    )
+    straight = cv2.remap(color, columns, rows, cv2.INTER_LINEAR)
+    nearest = cv2.remap(depth_m, columns, rows, cv2.INTER_NEAREST)
     return np.asarray(straight, np.uint8), np.asarray(nearest, np.float32)
 
 
 @lru_cache(maxsize=4)
-def _map(K: bytes, width: int, height: int, model: DistortionModel, coefficients: bytes) -> NDArray[np.float32]:
+def _maps(
+    K: bytes, width: int, height: int, model: DistortionModel, coefficients: bytes
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     camera = Camera(np.frombuffer(K).reshape(3, 3), width, height)
-    return RawCamera(camera, Distortion(model, np.frombuffer(coefficients))).pixel_map(camera)
+    place = RawCamera(camera, Distortion(model, np.frombuffer(coefficients))).pixel_map(camera)
+    return np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
