@@ -13,13 +13,14 @@ from page_export.cli import main
 from page_export.scorer_graph import CENTER, DISTINCT, INPUTS, OUTPUTS, scorer_graph
 from page_runtime.bundle import BundleError, BundleMetadata
 from page_runtime.category import Category
+from page_runtime.neighbours import ANSWERED
 from page_runtime.network import Network
 from page_runtime.part_poses import MAX_VOTERS
 from page_runtime.scoring import score_keypoints
 from page_training.categories import CATEGORIES
 from synthetic_parts import box_extents_m, keypoints_around, plate_extents_m, seen_part
 
-NUM_POINTS = 1000
+NUM_POINTS = ANSWERED
 VOXEL_M = 0.005
 
 
