@@ -225,3 +225,32 @@ def test_other_readers_of_ros_2_read_our_bags(written: dict[str, Path], name: st
         assert (message.encoding, message.width, message.height) == ("16UC1", 160, 120)
         depth = np.frombuffer(bytes(message.data), "<u2").reshape(120, 160)
         np.testing.assert_array_equal(depth, np.rint(frame.depth_m * 1000))
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_camera_that_changes_stays_with_its_frame_or_is_refused(layout: str, tmp_path: Path) -> None:
+    """Zoomed, moved, or as in the demo's recordings another one in every frame: a K of the first frame would give
+    wrong poses for all others, and nothing would fail."""
+    frames = recorded_toy.frames()[:4]
+    changed = []
+    for k, recorded in enumerate(frames):
+        K = recorded.frame.camera.K.copy()
+        K[:2, :2] *= 1.0 + 0.05 * k
+        camera = replace(recorded.frame.camera, K=K)
+        changed.append(RecordedFrame(replace(recorded.frame, camera=camera)))
+    path = tmp_path / ("frames.mcap" if layout == "mcap" else layout)
+
+    def write() -> None:
+        with frame_writer(path, layout) as writer:
+            for recorded in changed:
+                writer.write(recorded)
+
+    if layout in ("tum", "pictures", "video"):
+        with pytest.raises(SourceError, match="camera changes between frames"):
+            write()
+        return
+    write()
+    source = open_source(path)
+    assert len(source) == len(changed)
+    for one, other in zip(changed, source, strict=True):
+        np.testing.assert_allclose(other.frame.camera.K, one.frame.camera.K, atol=1e-9)

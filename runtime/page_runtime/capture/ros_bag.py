@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -29,6 +29,7 @@ from page_runtime.recorded import FrameEntry, Instance, Pixels, Source, require_
 
 FORMAT = "ROS 2 bag"
 SUFFIXES = (".mcap", ".db3")
+NO_CAMERA = "frames of a changing camera without its camera_info"
 AFTER_DAMAGE = "messages after a damaged page of the database"
 # Among several depth topics, the one that says it is registered to colour.
 REGISTERED_WORDS = ("aligned_depth", "depth_registered", "depth_to_color", "registered")
@@ -106,7 +107,7 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
             by_topic[ref.topic].append((store, ref))
     kinds = {channel.topic: channel.kind for store in stores for channel in store.channels}
     color, depth = _topics(path, kinds, by_topic)
-    camera, distortion = _camera(path, color, kinds, by_topic)
+    cameras = _cameras(path, color, kinds, by_topic)
     topic_streams: tuple[tuple[str, Stream], ...] = ((color, "color"), (depth, "depth"))
     in_order: list[tuple[MessageStore, MessageRef, Stream]] = sorted(
         ((store, ref, stream) for topic, stream in topic_streams for store, ref in by_topic[topic]),
@@ -120,10 +121,14 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
     for store in stores:
         missed.update(store.missed)
     facts = _facts(by_topic.get(ros.FACTS_TOPIC, []))
-    entries = tuple(
-        _entry(path, pair, index, camera, distortion, kinds, facts.get(ros.stamp_ns(pair.color[1].head)))
-        for index, pair in enumerate(pairs)
-    )
+    entries: list[FrameEntry] = []
+    for pair in pairs:
+        stamp_ns = ros.stamp_ns(pair.color[1].head)
+        found = cameras.at(stamp_ns)
+        if found is None:
+            missed[NO_CAMERA] += 1
+            continue
+        entries.append(_entry(path, pair, len(entries), *found, kinds, facts.get(stamp_ns)))
     calibration = _calibration(stores, by_topic.get(ros.CALIBRATION_TOPIC, []))
     known = next(iter(facts.values()), {})
     category, parts = known.get("category"), known.get("parts")
@@ -131,7 +136,7 @@ def read_stores(path: Path, stores: list[MessageStore], *, window_s: float) -> S
         Source(
             path,
             FORMAT,
-            entries,
+            tuple(entries),
             category,
             tuple(parts) if category is not None and parts else None,
             replace(counts, missed=dict(missed)),
@@ -180,10 +185,24 @@ def _first(messages: list[tuple[MessageStore, MessageRef]], kind: str) -> Any:
     return None
 
 
-def _camera(
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cameras:
+    """What CameraInfo said, by its stamp; several: whether it did not always say the same."""
+
+    by_stamp_ns: dict[int, tuple[Camera, Distortion]]
+    several: bool
+
+    def at(self, stamp_ns: int) -> tuple[Camera, Distortion] | None:
+        """The camera of a colour picture: of a camera that changes only what was said with that very picture."""
+        if self.several:
+            return self.by_stamp_ns.get(stamp_ns)
+        return next(iter(self.by_stamp_ns.values()))
+
+
+def _cameras(
     path: Path, color: str, kinds: dict[str, str], by_topic: dict[str, list[tuple[MessageStore, MessageRef]]]
-) -> tuple[Camera, Distortion]:
-    """The colour camera by the CameraInfo beside the colour topic."""
+) -> _Cameras:
+    """The colour camera by the CameraInfo beside the colour topic; damaged messages of it are left out."""
     namespace = color.removesuffix("/compressed").rsplit("/", 1)[0]
     wanted = f"{namespace}/camera_info"
     infos = [topic for topic, kind in kinds.items() if kind == ros.INFO and by_topic.get(topic)]
@@ -191,19 +210,32 @@ def _camera(
         found = ", ".join(infos) or "none"
         raise SourceError(f"{path}: expected {wanted} for {color}, found {found}; record the colour's camera_info too")
     topic = wanted if wanted in infos else infos[0]
-    info = _first(by_topic[topic], ros.INFO)
-    if info is None:
-        raise SourceError(f"{path}: every message of {topic} is damaged")
     is_rectified = "rect" in color.rsplit("/", 1)[-1]
+    by_stamp_ns, said = {}, {}
+    for store, ref in by_topic[topic]:
+        try:
+            info = ros.decode(store.read(ref), ros.INFO, where=topic)
+        except SourceError:
+            continue
+        what = (info.width, info.height, info.distortion_model, *map(float, (*info.k, *info.d, *info.p)))
+        if what not in said:
+            said[what] = _camera(info, is_rectified=is_rectified, where=f"{path}: {topic}")
+        by_stamp_ns[ros.stamp_ns(ref.head)] = said[what]
+    if not by_stamp_ns:
+        raise SourceError(f"{path}: every message of {topic} is damaged")
+    return _Cameras(by_stamp_ns, len(said) > 1)
+
+
+def _camera(info: Any, *, is_rectified: bool, where: str) -> tuple[Camera, Distortion]:
     K = np.reshape(info.p, (3, 4))[:, :3] if is_rectified else np.reshape(info.k, (3, 3))
     try:
         camera = Camera(K.astype(float), int(info.width), int(info.height))
     except ValueError as error:
-        raise SourceError(f"{path}: {topic}: {error}") from error
-    require_central(camera, where=f"{path}: {topic}")
+        raise SourceError(f"{where}: {error}") from error
+    require_central(camera, where=where)
     if is_rectified or not len(info.d):
         return camera, NO_DISTORTION
-    return camera, lens_of(info.distortion_model, info.d, where=f"{path}: {topic}")
+    return camera, lens_of(info.distortion_model, info.d, where=where)
 
 
 def _facts(messages: list[tuple[MessageStore, MessageRef]]) -> dict[int, dict[str, Any]]:
