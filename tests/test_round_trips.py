@@ -18,6 +18,7 @@ from page_runtime import Network, estimate
 from page_runtime.capture.conversion import copy_frames, exact_unit_mm, frame_writer
 from page_runtime.capture.layouts import LAYOUTS
 from page_runtime.capture.playback import open_source
+from page_runtime.cli import main
 from page_runtime.image_files import SourceError, depth_in_metres
 from page_runtime.recorded import RecordedFrame, Source
 from page_runtime.schema import pose_record
@@ -254,3 +255,34 @@ def test_a_camera_that_changes_stays_with_its_frame_or_is_refused(layout: str, t
     assert len(source) == len(changed)
     for one, other in zip(changed, source, strict=True):
         np.testing.assert_allclose(other.frame.camera.K, one.frame.camera.K, atol=1e-9)
+
+
+@pytest.mark.parametrize("layout", ["mcap", "tum", "ros2-mcap", "ros2-sqlite3"])
+def test_frames_without_times_of_their_own_are_refused_where_time_is_their_name(layout: str, tmp_path: Path) -> None:
+    frames = [RecordedFrame(replace(one.frame, timestamp_s=0.0)) for one in recorded_toy.frames()[:2]]
+    path = tmp_path / ("frames.mcap" if layout == "mcap" else layout)
+
+    def write() -> None:
+        with frame_writer(path, layout) as writer:
+            for recorded in frames:
+                writer.write(recorded)
+
+    with pytest.raises(SourceError, match=r"expected a time after 0\.000000 s"):
+        write()
+
+
+def test_a_data_set_without_times_gets_some(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    timeless = tmp_path / "timeless"
+    with frame_writer(timeless, "recording") as writer:
+        for one in recorded_toy.frames()[:3]:
+            writer.write(RecordedFrame(replace(one.frame, timestamp_s=0.0)))
+    target = tmp_path / "timed.mcap"
+    assert main(["convert", str(timeless), str(target)]) == 2
+    assert "--fps" in capsys.readouterr().err
+    assert not target.exists()
+    assert main(["convert", str(timeless), str(target), "--fps", "0"]) == 2
+    assert main(["convert", str(timeless), str(target), "--fps", "10", "--quiet"]) == 0
+    played = list(open_source(target))
+    assert [one.frame.timestamp_s for one in played] == pytest.approx([0.0, 0.1, 0.2])
+    for one, other in zip(recorded_toy.frames(), played, strict=False):
+        np.testing.assert_array_equal(one.frame.color, other.frame.color)

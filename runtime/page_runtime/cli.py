@@ -158,6 +158,8 @@ def _parser() -> argparse.ArgumentParser:
     convert = command("convert", "write a recording in another layout", "source", "a folder or file of RGB-D frames")
     convert.add_argument("target", metavar="TARGET", type=Path, help="a new .mcap file or folder")
     convert.add_argument("--layout", choices=LAYOUTS, help="of TARGET (default: mcap for .mcap, else recording)")
+    fps_help = "so many frames a second, for data sets whose frames have no times"
+    convert.add_argument("--fps", metavar="N", type=float, help=fps_help)
     for sub in (record, convert):
         limited(sub)
         pairs(sub)

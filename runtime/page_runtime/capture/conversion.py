@@ -7,6 +7,7 @@ exact), or refuses. Only the project's recording and its MCAP keep objects and t
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from page_runtime.image_files import PNG_FASTEST, SourceError, write_color, writ
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
 
+LEAST_STEP_S = 1e-6
 EMPTY = "nothing to write: the source gave no frames"
 # What cameras and data sets count depth in, mm.
 DEPTH_UNITS_MM = (1.0, 0.5, 0.25, 0.2, 0.125, 0.1)
@@ -60,7 +62,7 @@ def frame_writer(
         recording = McapRecordingWriter(target, category=category, part_names=part_names)
         try:
             with recording:
-                yield recording
+                yield _InTime(recording)
             if not recording.frames:
                 raise SourceError(EMPTY)
         finally:
@@ -84,11 +86,30 @@ def frame_writer(
         else:
             folder = _Bag(partial, kind, category, part_names)
         try:
-            yield folder
+            yield folder if kind in ("pictures", "video") else _InTime(folder)
             folder.close()
             partial.rename(target)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+class _InTime:
+    """Hands on frames whose times increase. These layouts know a frame by its time, and of frames of one time, as data
+    sets without times have, one would be read with the pictures or the camera of another."""
+
+    def __init__(self, writer: FrameWriter) -> None:
+        self._writer, self._last_s = writer, -math.inf
+
+    def write(self, recorded: RecordedFrame, *, calibration: str | None = None) -> int:
+        frame = recorded.frame
+        if frame.timestamp_s < self._last_s + LEAST_STEP_S:
+            raise SourceError(
+                f"frame {frame.index}: expected a time after {self._last_s:.6f} s, that of the frame before, got "
+                f"{frame.timestamp_s:.6f} s, and this layout knows frames by their times; give them times "
+                "(page-runtime convert --fps), or write a recording's folder"
+            )
+        self._last_s = frame.timestamp_s
+        return self._writer.write(recorded, calibration=calibration)
 
 
 class _Recording:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from page_runtime.capture.conversion import frame_writer, layout_of, partial_of
@@ -15,17 +16,37 @@ from page_runtime.image_files import SourceError
 
 def record(source: str, *, target: Path, frames: int, window_s: float, quiet: bool) -> None:
     """Write the frames of `source` as they come into an .mcap file or a recording's folder."""
-    _copy(source, target, None, frames, window_s, label="record", quiet=quiet)
+    _copy(source, target, None, frames, None, window_s, label="record", quiet=quiet)
 
 
-def convert(source: str, *, target: Path, layout: str | None, frames: int, window_s: float, quiet: bool) -> None:
-    """Write the frames of the recording `source` in another layout."""
+def convert(
+    source: str, *, target: Path, layout: str | None, frames: int, fps: float | None, window_s: float, quiet: bool
+) -> None:
+    """Write the frames of the recording `source` in another layout; fps: gives them times of their own, from 0 on."""
     if is_live(source):
         raise UsageError(f"convert: expected a recording, got the camera {source!r}; use page-runtime record")
-    _copy(source, target, layout, frames, window_s, label="convert", quiet=quiet)
+    try:
+        _copy(source, target, layout, frames, fps, window_s, label="convert", quiet=quiet)
+    except SourceError:
+        # What `record` has written so far is worth keeping; a part of a copy is not.
+        if target.is_file():
+            target.unlink()
+        raise
 
 
-def _copy(name: str, target: Path, layout: str | None, limit: int, window_s: float, *, label: str, quiet: bool) -> None:
+def _copy(
+    name: str,
+    target: Path,
+    layout: str | None,
+    limit: int,
+    fps: float | None,
+    window_s: float,
+    *,
+    label: str,
+    quiet: bool,
+) -> None:
+    if fps is not None and fps <= 0.0:
+        raise UsageError(f"--fps: expected frames a second, got {fps:g}")
     if target.exists():
         raise UsageError(f"{target}: exists already; nothing is ever overwritten, give another name")
     if partial_of(target).exists() and layout_of(target, layout) == "recording":
@@ -51,6 +72,8 @@ def _copy(name: str, target: Path, layout: str | None, limit: int, window_s: flo
                     break
                 if recorded is None:
                     break
+                if fps is not None:
+                    recorded = replace(recorded, frame=replace(recorded.frame, timestamp_s=count / fps))
                 writer.write(recorded, calibration=source.calibration)
                 count += 1
                 progress.advance()
