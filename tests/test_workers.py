@@ -48,7 +48,7 @@ GRADIENTS = """
 import sys
 import torch
 from torch import nn
-from page_training.workers import join_workers
+from page_training.workers import join_workers, leave_workers
 
 workers = join_workers(8)
 torch.manual_seed(0)
@@ -57,6 +57,7 @@ module = workers.joined(network, all_used=True)
 module(torch.from_numpy(workers.rows(rows.numpy()))).square().mean().backward()
 means = workers.means({"rank": float(workers.rank)})
 torch.save(([p.grad for p in network.parameters()], means), f"{sys.argv[1]}/{workers.rank}.pt")
+leave_workers()
 """
 
 

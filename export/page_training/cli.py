@@ -141,7 +141,7 @@ def _scenes(options: argparse.Namespace) -> None:
 
 def _pose(options: argparse.Namespace) -> None:
     from page_training.train import train
-    from page_training.workers import join_workers
+    from page_training.workers import join_workers, leave_workers
 
     config = TrainingConfig(
         category=options.category,
@@ -187,6 +187,7 @@ def _pose(options: argparse.Namespace) -> None:
             if options.skip_corrupt
             else None,
         )
+    leave_workers()
     if first:
         print(checkpoint)
 

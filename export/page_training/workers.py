@@ -58,3 +58,11 @@ def join_workers(batch_size: int) -> Workers:
     if workers.count > 1 and not distributed.is_initialized():
         distributed.init_process_group("gloo")
     return workers
+
+
+def leave_workers() -> None:
+    """Wait for the others and end the group, where there is one: a process that exits while the group's threads still
+    run is aborted, now and then."""
+    if distributed.is_initialized():
+        distributed.barrier()
+        distributed.destroy_process_group()
