@@ -1,0 +1,1 @@
+"""The live loop: frames in as they come, poses out, the newest first."""

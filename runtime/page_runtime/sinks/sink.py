@@ -1,0 +1,20 @@
+"""What a sink is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from page_runtime.live.result import LiveResult
+
+
+class Sink(Protocol):
+    """Takes results one by one, from one thread of its own (`sinks.queue`).
+
+    name: as in messages and counters. write: may block and may raise; what it raises is counted and told once, and does
+    not reach the loop. close: finishes files; called once, from the same thread, also after a write that raised.
+    """
+
+    @property
+    def name(self) -> str: ...
+    def write(self, result: LiveResult) -> None: ...
+    def close(self) -> None: ...
