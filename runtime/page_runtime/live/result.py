@@ -10,7 +10,7 @@ from page_runtime.frame import RgbdFrame
 from page_runtime.pose import ArticulatedPose
 from page_runtime.sampling import Region
 
-# searching: no object is being followed; tracking: every object is; reacquiring: at least one was lost and is looked for.
+# searching: none is followed; tracking: every object is; reacquiring: at least one was lost and is looked for.
 LiveState = Literal["searching", "tracking", "reacquiring"]
 
 
@@ -36,7 +36,7 @@ class LoopCounts:
 @dataclass(frozen=True, eq=False, slots=True)
 class LiveObject:
     """One object in one frame. number: the same as long as it is followed. region: (x,y,w,h) px it was cut out with.
-    pose: the loop's answer, filtered where the loop filters. tracked: found from its last pose, not by a full search."""
+    pose: the answer, filtered where the loop filters. tracked: found from its last pose, not by a full search."""
 
     number: int
     region: Region
