@@ -1,5 +1,6 @@
 """The network, its targets and its training: laws that hold before any weight is learned."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from page_runtime.bundle import category_document
 from page_training.batches import make_batch
 from page_training.cache import make_shard
 from page_training.categories import CATEGORIES, category_named
-from page_training.checkpoint import keep_weights, load_checkpoint, save_checkpoint, trained_category
+from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint, trained_category
 from page_training.config import Augmentation, TrainingConfig
 from page_training.layers import GeometryGuidedFuser, gather_rows, group_maximum, sample_bilinear
 from page_training.losses import MIN_PART_POINTS, page_loss, part_weights
@@ -218,3 +220,24 @@ def test_shards_are_repeatable_and_splits_differ(cache: Path, tmp_path: Path) ->
     other = open_shards(cache, "box", "validation")[0]
     assert other["extents_m"][0].tolist() != first["extents_m"][0].tolist()
     assert first.dtype == record_type(2)
+
+
+def test_another_categorys_weights_start_a_run_but_for_what_depends_on_its_parts(tmp_path: Path) -> None:
+    box, eyeglasses = network_for(BOX), network_for(category_named("eyeglasses"))
+    document = json.dumps(category_document(BOX))
+    save_checkpoint(tmp_path / "box.pt", average=box.state_dict(), category=document, config="{}", step=3, samples=36)
+    before = {name: value.clone() for name, value in eyeglasses.state_dict().items()}
+    assert load_start(eyeglasses, category_named("eyeglasses"), tmp_path / "box.pt") == 0
+    theirs = box.state_dict()
+    for name, value in eyeglasses.state_dict().items():
+        if value.shape == theirs[name].shape:
+            assert torch.equal(value, theirs[name]), name
+        elif name == "refiner.known.weight":
+            assert torch.equal(value[:, :128], theirs[name][:, :128])
+            assert torch.equal(value[:, 128:], before[name][:, 128:])
+        else:
+            assert torch.equal(value, before[name]), name
+    assert load_start(box, BOX, tmp_path / "box.pt") == 36
+    moved = replace(BOX, parts=tuple(replace(p, keypoints_unit=1.1 * p.keypoints_unit) for p in BOX.parts))
+    with pytest.raises(ValueError, match="other parts, keypoints"):
+        load_start(box, moved, tmp_path / "box.pt")

@@ -19,7 +19,17 @@ from torch import nn
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
 from page_training.categories import category_named, known_categories
+from page_training.network import PageNetwork
 
+# Weights whose shape follows the number of parts.
+PER_PART = {
+    "coarse_parts.weight",
+    "coarse_parts.bias",
+    "refiner.part",
+    "refiner.known.weight",
+    "parts.weight",
+    "parts.bias",
+}
 KEPT = ("average", "category", "config", "step", "samples")
 
 
@@ -93,6 +103,35 @@ def load_average(network: nn.Module, state: dict[str, Any], path: Path) -> None:
             f"checkpoint {path}: its weights are of another network than this release's; train anew, or use the "
             "release that trained it"
         ) from error
+
+
+def load_start(network: PageNetwork, category: Category, path: Path) -> int:
+    """Begin with the averaged weights at `path`; returns how many frames of this category they have seen.
+
+    Those of the same category are taken whole. Of another category, everything that does not depend on how many parts
+    there are: what surfaces, edges and colours look like need not be learned again. ValueError for weights of another
+    architecture.
+    """
+    state = load_checkpoint(path)
+    if _trained_for(state) == json.loads(json.dumps(_as_trained(category_document(category)))):
+        load_average(network, state, path)
+        return int(state["samples"])
+    if _trained_for(state)["category"] == category.name:
+        load_checkpoint(path, category)
+    other, own = state["average"], network.state_dict()
+    differing = {name for name, value in own.items() if name not in other or other[name].shape != value.shape}
+    if other.keys() != own.keys() or not differing <= PER_PART:
+        raise ValueError(
+            f"checkpoint {path}: its weights are of another network than this release's; start from a release's own"
+        )
+    with torch.no_grad():
+        for name, value in own.items():
+            if name not in differing:
+                value.copy_(other[name])
+        # Features first, then a column for each part and the background.
+        shared = own["refiner.known.weight"].shape[1] - network.num_parts - 1
+        own["refiner.known.weight"][:, :shared] = other["refiner.known.weight"][:, :shared]
+    return 0
 
 
 def keep_weights(checkpoint: Path, path: Path) -> None:

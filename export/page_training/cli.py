@@ -83,7 +83,10 @@ def _parser() -> argparse.ArgumentParser:
     pose.add_argument("--cache", type=Path, default=DEFAULT_CACHE)
     pose.add_argument("--run", type=Path, help="folder of the run (default: export/checkpoints/CATEGORY)")
     pose.add_argument(
-        "--from", type=Path, dest="start_from", help="begin a new run with the network of this checkpoint"
+        "--from",
+        type=Path,
+        dest="start_from",
+        help="begin a new run with this checkpoint's network, also another category's",
     )
     pose.add_argument(
         "--also", type=Path, metavar="CACHE", help="draw samples from this cache of page-train import, too"

@@ -41,9 +41,9 @@ class TrainingConfig:
 
     fusion: how colour joins geometry; all but "gated" are the paper's comparisons. segmentation_weight,
     radius_weight: tau 1 and 2 of Eq. 19. samples: frames seen in all, repeats
-    included. start_from: a checkpoint or kept weights whose averaged network this run begins with, instead of random
-    weights. also_from: a second cache, that of `page-train import`, and also_share, the share of samples drawn from it.
-    halve_every: samples after which the learning rate halves (the paper: 20 epochs
+    included. start_from: a checkpoint or kept weights, of any category, whose averaged network this run begins with,
+    instead of random weights. also_from: a second cache, that of `page-train import`, and also_share, the share of
+    samples drawn from it. halve_every: samples after which the learning rate halves (the paper: 20 epochs
     from 1e-3), None for half a cosine. patience: validations without a better total that end the run, None for none.
     """
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from page_runtime.bundle import category_document
 from page_runtime.category import Category
 from page_training.batches import Batch, make_batch
-from page_training.checkpoint import keep_weights, load_average, load_checkpoint, save_checkpoint
+from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint
 from page_training.config import TrainingConfig
 from page_training.losses import page_loss
 from page_training.network import network_for
@@ -166,9 +166,7 @@ def train(
         first_step = state["step"]
         earlier_samples = state["samples"] - first_step * config.batch_size
     elif config.start_from is not None:
-        start = load_checkpoint(Path(config.start_from), category)
-        load_average(network, start, Path(config.start_from))
-        earlier_samples = start["samples"]
+        earlier_samples = load_start(network, category, Path(config.start_from))
     average = copy.deepcopy(network)
     optimizers = optimizers_for(network, config)
     if state is not None:
