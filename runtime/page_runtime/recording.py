@@ -28,7 +28,15 @@ from numpy.typing import NDArray
 from page_runtime.capture.bop import BopScene, open_scene, pose_of
 from page_runtime.capture.documents import METRES_PER_MM, field, listed, number, numbers, read_object
 from page_runtime.geometry import Array
-from page_runtime.image_files import PNG_SMALLEST, SourceError, read_header, write_color, write_depth, write_mask
+from page_runtime.image_files import (
+    PNG_SMALL,
+    PngEffort,
+    SourceError,
+    read_header,
+    write_color,
+    write_depth,
+    write_mask,
+)
 from page_runtime.recorded import (
     FrameEntry,
     Instance,
@@ -57,7 +65,7 @@ class RecordingWriter:
     Until then it is .NAME.partial beside it; a killed process leaves that behind, and finish_recording makes a
     recording of it. category: None, with no part names, where nothing is known of the objects. depth_unit_mm:
     resolution of stored depth; 1 is what depth cameras deliver and reaches 65 m, 0.1 reaches 6.5 m. color_suffix:
-    ".png" keeps every value, ".jpg" is a tenth of the size. effort: PNG_FASTEST where a camera would not wait.
+    ".png" keeps every value, ".jpg" is a tenth of the size. effort: PNG_FAST where a camera would not wait.
     """
 
     def __init__(
@@ -68,7 +76,7 @@ class RecordingWriter:
         part_names: Sequence[str],
         depth_unit_mm: float = 1.0,
         color_suffix: Literal[".png", ".jpg"] = ".png",
-        effort: int = PNG_SMALLEST,
+        effort: PngEffort = PNG_SMALL,
     ) -> None:
         self.path = Path(path)
         if self.path.exists():

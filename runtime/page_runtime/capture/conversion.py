@@ -23,7 +23,7 @@ from page_runtime.capture.documents import METRES_PER_MM, TIMES_FILE
 from page_runtime.capture.mcap_recording import SUFFIX, McapRecordingWriter
 from page_runtime.capture.ros_messages import CALIBRATION_TOPIC, exact_units, messages_of, text_message, typestore
 from page_runtime.capture.tum import METRES_PER_UNIT as TUM_METRES_PER_UNIT
-from page_runtime.image_files import PNG_FASTEST, SourceError, write_color, write_depth
+from page_runtime.image_files import PNG_FAST, SourceError, write_color, write_depth
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
 
@@ -126,7 +126,7 @@ class _Recording:
                 category=self._category,
                 part_names=self._part_names,
                 depth_unit_mm=exact_unit_mm(recorded),
-                effort=PNG_FASTEST,
+                effort=PNG_FAST,
             ).__enter__()
         require_exact(recorded, self._writer.depth_unit_mm * METRES_PER_MM)
         if calibration is not None:
@@ -157,7 +157,7 @@ class _Pictures:
         (self._folder / "color").mkdir()
 
     def _write_color(self, recorded: RecordedFrame, name: str) -> None:
-        write_color(self._folder / "color" / f"{name}.png", recorded.frame.color, effort=PNG_FASTEST)
+        write_color(self._folder / "color" / f"{name}.png", recorded.frame.color, effort=PNG_FAST)
 
     def write(self, recorded: RecordedFrame, *, calibration: str | None = None) -> int:
         del calibration
@@ -167,7 +167,7 @@ class _Pictures:
         require_exact(recorded, self._unit_mm * METRES_PER_MM)
         self._write_color(recorded, f"{index:06d}")
         depth_path = self._folder / "depth" / f"{index:06d}.png"
-        write_depth(depth_path, frame.depth_m, metres_per_unit=self._unit_mm * METRES_PER_MM, effort=PNG_FASTEST)
+        write_depth(depth_path, frame.depth_m, metres_per_unit=self._unit_mm * METRES_PER_MM, effort=PNG_FAST)
         self._times_s.append(frame.timestamp_s)
         return index
 
@@ -215,10 +215,8 @@ class _Tum:
         self._camera = _same_camera(self._camera, frame.camera)
         require_exact(recorded, TUM_METRES_PER_UNIT)
         name = f"{index:06d}.png"
-        write_color(self._folder / "rgb" / name, frame.color, effort=PNG_FASTEST)
-        write_depth(
-            self._folder / "depth" / name, frame.depth_m, metres_per_unit=TUM_METRES_PER_UNIT, effort=PNG_FASTEST
-        )
+        write_color(self._folder / "rgb" / name, frame.color, effort=PNG_FAST)
+        write_depth(self._folder / "depth" / name, frame.depth_m, metres_per_unit=TUM_METRES_PER_UNIT, effort=PNG_FAST)
         self._lines["rgb"].append(f"{frame.timestamp_s:.9f} rgb/{name}\n")
         self._lines["depth"].append(f"{frame.timestamp_s + frame.skew_s:.9f} depth/{name}\n")
         return index
