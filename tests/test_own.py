@@ -20,7 +20,8 @@ from page_training.cache import make_shard
 from page_training.categories import category_named, known_categories, own_folder
 from page_training.cli import main
 from page_training.config import Augmentation
-from page_training.own.category import OwnCategory, own_category, read_own, write_own
+from page_training.own.category import OwnCategory, own_category
+from page_training.own.files import read_own, write_own
 from page_training.own.joint_file import read_joint_file
 from page_training.own.model import OwnModel
 from page_training.own.surfaces import MOST_TRIANGLES

@@ -10,11 +10,12 @@ import pytest
 
 import toy
 from page_runtime.camera import Camera
+from page_runtime.capture.own_recording import read_recording
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import apply, invert, rotation_about, transform_from
 from page_runtime.image_files import read_mask
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
-from page_runtime.recording import RecordingWriter, read_recording
+from page_runtime.recording import RecordingWriter
 
 NAMES = ("base", "lid")
 

@@ -15,8 +15,9 @@ import pytest
 import recorded_toy
 import toy
 from page_runtime import Network, estimate
-from page_runtime.capture.conversion import copy_frames, exact_unit_mm, frame_writer
+from page_runtime.capture.conversion import copy_frames, frame_writer
 from page_runtime.capture.layouts import LAYOUTS
+from page_runtime.capture.picture_folders import exact_unit_mm
 from page_runtime.capture.playback import open_source
 from page_runtime.cli import main
 from page_runtime.image_files import SourceError, depth_in_metres

@@ -291,6 +291,6 @@ def category_named(name: str) -> Category:
         return CATEGORIES[name]
     if name not in known_categories():
         raise ValueError(f"category: expected one of {', '.join(known_categories())}, got {name!r}")
-    from page_training.own.category import read_own
+    from page_training.own.files import read_own
 
     return read_own(own_folder(name)).category

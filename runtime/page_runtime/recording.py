@@ -17,7 +17,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
@@ -25,8 +24,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.capture.bop import BopScene, open_scene, pose_of
-from page_runtime.capture.documents import METRES_PER_MM, field, listed, number, numbers, read_object
+from page_runtime.capture.documents import METRES_PER_MM
 from page_runtime.geometry import Array
 from page_runtime.image_files import (
     PNG_SMALL,
@@ -37,15 +35,7 @@ from page_runtime.image_files import (
     write_depth,
     write_mask,
 )
-from page_runtime.recorded import (
-    FrameEntry,
-    Instance,
-    PartTruth,
-    RecordedFrame,
-    Source,
-    require_central,
-    require_playable,
-)
+from page_runtime.recorded import RecordedFrame, require_central
 from page_runtime.sampling import check_region
 
 RECORDING_VERSION = 1
@@ -259,68 +249,3 @@ def _pictures_of(folder: Path, index: int, masks: int) -> list[Path]:
     if not color:
         raise SourceError(f"{folder}: no colour picture {index}")
     return [color[0], folder / "depth" / f"{index:06d}.png", *(mask for mask in found if mask.exists())]
-
-
-def read_recording(path: Path) -> Source:
-    """The recording in folder `path` as a source with truths; SourceError says what is wrong with it."""
-    document = read_object(path / RECORDING_FILE)
-    if document.get("version") != RECORDING_VERSION:
-        raise SourceError(
-            f"{path / RECORDING_FILE}: expected version {RECORDING_VERSION}, got {document.get('version')}; "
-            "read it with the release that wrote it"
-        )
-    where = str(path / RECORDING_FILE)
-    names = tuple(str(name) for name in listed(field(document, "parts", where=where), where=f"{where}, parts"))
-    frames = field(document, "frames", where=where)
-    scene = open_scene(path)
-    entries = tuple(
-        _entry(scene, key, field(frames, str(key), where=f"{where}, frames"), names) for key in scene.cameras
-    )
-    category = field(document, "category", where=where)
-    calibration_file = path / CALIBRATION_FILE
-    calibration = calibration_file.read_text(encoding="utf-8", errors="replace") if calibration_file.is_file() else None
-    if category is None:
-        return require_playable(Source(path, FORMAT, entries, calibration=calibration))
-    return require_playable(Source(path, FORMAT, entries, str(category), names, calibration=calibration))
-
-
-def _entry(scene: BopScene, key: int, facts: Any, names: tuple[str, ...]) -> FrameEntry:
-    where = f"{scene.path / RECORDING_FILE}, frame {key}"
-    size = numbers(field(facts, "size_px", where=where), 2, where=f"{where}, size_px")
-    timestamp_s = number(field(facts, "timestamp_s", where=where), where=f"{where}, timestamp_s")
-    instances = []
-    for instance in listed(field(facts, "instances", where=where), where=f"{where}, instances"):
-        box = field(instance, "region", where=where)
-        x, y, w, h = numbers(box, 4, where=f"{where}, region") if box is not None else (0.0,) * 4
-        region = None if box is None else (round(x), round(y), round(w), round(h))
-        parts = field(instance, "parts", where=where)
-        truths = None if parts is None else _truths(scene, key, listed(parts, where=f"{where}, parts"), names)
-        instances.append(Instance(region, truths))
-    entry = scene.entry(key, declared_size=(round(size[0]), round(size[1])))
-    skew_s = number(facts.get("skew_s", 0.0), where=f"{where}, skew_s")
-    return replace(entry, instances=tuple(instances), timestamp_s=timestamp_s, skew_s=skew_s)
-
-
-def _truths(scene: BopScene, key: int, parts: list[Any], names: tuple[str, ...]) -> tuple[PartTruth, ...]:
-    where = f"{scene.path}, frame {key}"
-    if len(parts) != len(names):
-        raise SourceError(f"{where}: expected the truth of {len(names)} parts, got {len(parts)}")
-    gt = listed(scene.gt.get(key, []), where=f"{where}, scene_gt.json")
-    info = listed(scene.gt_info.get(key, []), where=f"{where}, scene_gt_info.json")
-    truths = []
-    for name, part in zip(names, parts, strict=True):
-        k = field(part, "gt", where=where)
-        if not isinstance(k, int) or not 0 <= k < len(gt):
-            raise SourceError(f"{where}: part {name!r} is gt entry {k}, but scene_gt.json has {len(gt)} entries")
-        share = info[k].get("visib_fract") if k < len(info) and isinstance(info[k], dict) else None
-        try:
-            truths.append(PartTruth(
-                name=name,
-                T_camera_part=pose_of(gt[k], where=f"{where}, scene_gt.json"),
-                extents_m=np.array(numbers(field(part, "extents_m", where=where), 3, where=f"{where}, extents_m")),
-                visible_share=None if share is None else float(share),
-                joint_state=None if part.get("joint_state") is None else float(part["joint_state"]),
-            ))  # fmt: skip
-        except (TypeError, ValueError) as error:
-            raise SourceError(f"{where}: {error}") from error
-    return tuple(truths)

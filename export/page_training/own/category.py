@@ -1,26 +1,18 @@
-"""From models of the user's own to a category: what the runtime must know of it, and how scenes of it are made.
-
-A category is a folder of two files: category.json, the description and what is random about its scenes, and models.npz,
-the surfaces. The files it came from are not needed any more.
-"""
+"""From models of the user's own to a category: what the runtime must know of it, and how scenes of it are made."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
-from pathlib import Path
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
-from page_runtime.bundle import BundleError, category_document, category_from
 from page_runtime.category import Category, Joint, Part
 from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.symmetry import Symmetry
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
-from page_training.own.model import OwnJoint, OwnModel, OwnPart, Surface
+from page_training.own.model import OwnModel, Surface
 from page_training.scenes.articulated import ArticulatedObject, JointModel, PartModel, States, seen_from
 from page_training.scenes.fittings import finish
 from page_training.scenes.materials import Material, plain, random_color, scanned, vary
@@ -29,8 +21,6 @@ from page_training.scenes.resting import Rest, held_rest, upright_rest
 from page_training.scenes.statistics import joint_geometry, part_statistics
 from page_training.scenes.textures import Generator
 
-VERSION = 1
-CATEGORY_FILE, MODELS_FILE = "category.json", "models.npz"
 Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
 SCALE_SIGMA = 0.02
@@ -236,74 +226,3 @@ def _reach(model: ArticulatedObject, states: States) -> float:
         around = np.abs(T[:3, :3]) @ (part.extents_m / 2)
         ends += [T[:3, 3] - around, T[:3, 3] + around]
     return float(np.linalg.norm(np.ptp(ends, axis=0))) / 2
-
-
-def write_own(own: OwnCategory, folder: Path) -> None:
-    """Write the category's two files into `folder`, which is made; those of an earlier one are replaced."""
-    folder.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, Any] = {}
-    for m, model in enumerate(own.models):
-        for k, part in enumerate(model.parts):
-            for field in ("vertices", "triangles", "color", "palette"):
-                arrays[f"{m}.{k}.{field}"] = getattr(part.surface, field)
-    document = {
-        "version": VERSION,
-        "description": category_document(own.category),
-        "rest": own.rest,
-        "scale_sigma": own.scale_sigma,
-        "models": [
-            {
-                "source": model.source,
-                "parts": [
-                    {"name": part.name, "links": {link: T.tolist() for link, T in part.links.items()}}
-                    for part in model.parts
-                ],
-                "joints": [asdict(joint) for joint in model.joints],
-            }
-            for model in own.models
-        ],
-        "T_part_link": {
-            part: {link: T.tolist() for link, T in links.items()} for part, links in own.T_part_link.items()
-        },
-    }
-    with (folder / MODELS_FILE).open("wb") as file:
-        np.savez_compressed(file, **arrays)
-    (folder / CATEGORY_FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-def read_own(folder: Path) -> OwnCategory:
-    """The category that `write_own` wrote; ValueError when the folder holds something else."""
-    path = folder / CATEGORY_FILE
-    return _read(folder, path.stat().st_mtime_ns) if path.exists() else _read(folder, 0)
-
-
-@lru_cache(maxsize=8)
-def _read(folder: Path, _: int) -> OwnCategory:
-    try:
-        document = json.loads((folder / CATEGORY_FILE).read_text(encoding="utf-8"))
-        if document["version"] != VERSION:
-            raise ValueError(f"expected version {VERSION}, got {document['version']}")
-        models = []
-        with np.load(folder / MODELS_FILE) as arrays:
-            for m, entry in enumerate(document["models"]):
-                parts = tuple(
-                    OwnPart(
-                        part["name"],
-                        Surface(
-                            *(arrays[f"{m}.{k}.{field}"] for field in ("vertices", "triangles", "color", "palette"))
-                        ),
-                        {link: np.array(T, float) for link, T in part["links"].items()},
-                    )
-                    for k, part in enumerate(entry["parts"])
-                )
-                joints = tuple(
-                    OwnJoint(**{**joint, **{name: tuple(joint[name]) for name in ("axis", "point", "limits")}})
-                    for joint in entry["joints"]
-                )
-                models.append(OwnModel(entry["source"], parts, joints))
-        category = category_from(document["description"])
-        return OwnCategory(category, tuple(models), document["rest"], float(document["scale_sigma"]))
-    except (OSError, KeyError, TypeError, ValueError, BundleError) as error:
-        raise ValueError(
-            f"{folder}: expected a category of page-train from-urdf, got {error}; make it again"
-        ) from error

@@ -27,7 +27,8 @@ def add_to(commands: Any) -> None:
 
 def _from_urdf(options: argparse.Namespace) -> None:
     from page_training.categories import BUILT_IN, own_folder
-    from page_training.own.category import SCALE_SIGMA, OwnCategory, own_category, write_own
+    from page_training.own.category import SCALE_SIGMA, OwnCategory, own_category
+    from page_training.own.files import write_own
     from page_training.own.joint_file import read_joint_file
     from page_training.own.urdf import read_urdf
     from page_training.terminal import progress_bar

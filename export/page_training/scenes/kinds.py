@@ -57,7 +57,7 @@ def scene_category(name: str) -> SceneCategory:
         return CATEGORIES[name]
     if name not in known_categories():
         raise ValueError(f"category: expected one of {known_categories()}, got {name!r}")
-    from page_training.own.category import read_own
+    from page_training.own.files import read_own
 
     own = read_own(own_folder(name))
     return SceneCategory(own.sample_object, own.sample_states, own.distance_m, own.sample_rest, on_table=own.on_table)

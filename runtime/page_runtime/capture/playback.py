@@ -11,13 +11,14 @@ from page_runtime.capture.depthai_mcap import is_depthai, read_depthai
 from page_runtime.capture.documents import found_in
 from page_runtime.capture.layouts import WINDOW_S
 from page_runtime.capture.mcap_file import McapFile
+from page_runtime.capture.own_recording import read_recording
 from page_runtime.capture.reartmix import read_reartmix
 from page_runtime.capture.ros_bag import MessageStore, SqliteFile, bag_files, read_stores
 from page_runtime.capture.sensor_recordings import is_kinect_video, is_realsense_bag, read_kinect, read_realsense
 from page_runtime.capture.tum import is_tum, read_tum
 from page_runtime.image_files import SourceError
 from page_runtime.recorded import Source
-from page_runtime.recording import RECORDING_FILE, read_recording
+from page_runtime.recording import RECORDING_FILE
 
 UNDERSTOOD = (
     f"a page-edge recording ({RECORDING_FILE}, rgb/, depth/, scene_camera.json), "
