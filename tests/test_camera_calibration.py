@@ -238,6 +238,16 @@ def test_a_small_board_from_the_front_is_refused_as_its_mirrored_tilt_fits_alike
         locate_camera(TRUE, drawn_views(rng, [far], noise=0.15, shared=0.0))
 
 
+def test_a_board_from_near_has_one_tilt() -> None:
+    """From there the mirrored start ends in the true pose, which must not pass for a second one that fits."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        T = board_places(BOARD, TRUE, rng, 1, tilt_deg=35.0, aside=0.3)[0]
+        found, pose = locate_camera(TRUE, drawn_views(rng, [T]))
+        assert rotation_angle(found[:3, :3], T[:3, :3]) < np.radians(0.2)
+        assert pose.rival_rms_px > 3.0 * pose.rms_px
+
+
 def test_the_boards_pose_is_found_through_any_lens() -> None:
     rng, T = np.random.default_rng(3), board_places(BOARD, TRUE, np.random.default_rng(3), 1, aside=0.2)[0]
     for raw in (TRUE, SECOND):

@@ -127,3 +127,15 @@ def test_the_command_places_the_camera_in_the_hands_frame(tmp_path: Path, capsys
     assert "these are probably millimetres" in capsys.readouterr().err
     assert main([*arguments, "--robot", str(robot)]) == 2
     assert "--target, --pictures: expected one of them" in capsys.readouterr().err
+
+
+def test_a_pose_that_is_none_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hands, targets, _ = session(1)
+    camera = CalibratedCamera("color", "color", RawCamera(Camera(np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
+                              640, 480)))  # fmt: skip
+    (tmp_path / "camera.json").write_text(to_json(Calibration((camera,), Provenance("test", "test"))))
+    robot = write_poses(tmp_path / "robot.json", "T_base_hand", [2.0 * T for T in hands])
+    target = write_poses(tmp_path / "target.json", "T_camera_target", targets)
+    arguments = ["hand-eye", "--camera", str(tmp_path / "camera.json"), "-o", str(tmp_path / "out.json")]
+    assert main([*arguments, "--robot", str(robot), "--target", str(target)]) == 2
+    assert "robot.json, pose 0: expected" in capsys.readouterr().err

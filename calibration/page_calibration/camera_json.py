@@ -27,7 +27,7 @@ import numpy as np
 from page_calibration.calibration import CalibratedCamera, Calibration, CalibrationError, Deviations, Provenance
 from page_runtime.camera import Camera
 from page_runtime.capture.documents import field, listed, number, numbers
-from page_runtime.geometry import Array
+from page_runtime.geometry import Array, require_rigid
 from page_runtime.lens import Distortion, RawCamera
 
 FORMAT = "page-edge camera"
@@ -142,6 +142,14 @@ def matrix(value: Any, rows: int, columns: int, *, where: str) -> Array:
     if isinstance(value, list) and len(value) == rows and all(isinstance(row, list) for row in value):
         return np.array([numbers(row, columns, where=where) for row in value])
     return np.reshape(numbers(value, rows * columns, where=where), (rows, columns))
+
+
+def rigid(T: Array, *, where: str) -> Array:
+    """T (4,4) unchanged; CalibrationError when it is not a rotation and a translation."""
+    try:
+        return require_rigid(T, name=where)
+    except ValueError as error:
+        raise CalibrationError(str(error)) from error
 
 
 def _text(entry: Any, name: str, *, where: str) -> str:

@@ -11,15 +11,18 @@ import numpy as np
 from page_calibration.board import View
 from page_calibration.calibration import CalibrationError
 from page_calibration.rotation_vectors import rotation_of
-from page_runtime.geometry import Array, transform_from
+from page_runtime.geometry import Array, rotation_angle, transform_from
 from page_runtime.lens import RawCamera
+
+# Refined solutions nearer than this are one.
+SAME_RAD = 0.005
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoardPose:
     """T_camera_board (4,4), metres. rms_px: of its corners. rival_rms_px: of the plane's other solution, the tilt
-    mirrored; near rms_px the pose is a guess. deviations: (6,) rad and metres, of a small turn and shift in camera
-    axes."""
+    mirrored; near rms_px the pose is a guess; infinite where there is no other. deviations: (6,) rad and metres, of a
+    small turn and shift in camera axes."""
 
     T_camera_board: Array
     rms_px: float
@@ -47,7 +50,9 @@ def board_pose(raw: RawCamera, view: View) -> BoardPose:
         solutions.append((float(np.sqrt((residuals**2).sum(axis=1).mean())), T))
     solutions.sort(key=lambda solution: solution[0] if np.isfinite(solution[0]) else np.inf)
     rms, T = solutions[0]
-    rival = solutions[1][0] if len(solutions) > 1 else np.inf
+    # Seen from near, the mirrored start ends in the same pose: no second one fits even locally.
+    rivals = [own for own, R in ((r, S[:3, :3]) for r, S in solutions[1:]) if rotation_angle(T[:3, :3], R) > SAME_RAD]
+    rival = rivals[0] if rivals else np.inf
     return BoardPose(T, rms, rival, _deviations(raw, points, T, rms))
 
 

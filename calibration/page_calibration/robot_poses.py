@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from page_calibration.calibration import CalibrationError
-from page_calibration.camera_json import matrix
+from page_calibration.camera_json import matrix, rigid
 from page_calibration.formats.document import open_document
 from page_calibration.rotation_vectors import rotation_of
 from page_runtime.capture.documents import field, listed, numbers
-from page_runtime.geometry import Array, require_rigid, transform_from
+from page_runtime.geometry import Array, transform_from
 
 # Robots reach metres; millimetres come out a thousand times farther.
 MAX_REACH_M = 20.0
@@ -59,7 +59,7 @@ def _number(stem: str) -> int:
 
 
 def _checked(T: Array, where: str) -> Array:
-    T = require_rigid(T, name=where)
+    T = rigid(T, where=where)
     reach = float(np.linalg.norm(T[:3, 3]))
     if reach > MAX_REACH_M:
         raise CalibrationError(f"{where}: {reach:.4g} m away; expected metres, these are probably millimetres")

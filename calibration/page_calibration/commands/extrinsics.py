@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from page_calibration.calibration import Calibration, CalibrationError, Provenance
-from page_calibration.camera_json import matrix
+from page_calibration.camera_json import matrix, rigid
 from page_calibration.commands.inputs import board_of, chosen_camera, require_places, write_calibration, write_text
 from page_calibration.commands.words import camera_lines
 from page_calibration.extrinsics import deviations_of, locate_camera
 from page_calibration.pictures import find_views
 from page_calibration.report import coverage, note, page, table
 from page_runtime.capture.documents import field, read_object
-from page_runtime.geometry import apply, require_rigid
+from page_runtime.geometry import apply
 
 
 def extrinsics(
@@ -36,7 +37,7 @@ def extrinsics(
     if board_pose is not None:
         where = f"{board_pose}, T_world_board"
         value = field(read_object(board_pose), "T_world_board", where=str(board_pose))
-        T_world_board = require_rigid(matrix(value, 4, 4, where=where), name=where)
+        T_world_board = rigid(matrix(value, 4, 4, where=where), where=where)
     T_camera_world, pose = locate_camera(raw, found.views, T_world_board=T_world_board)
     deviations = deviations_of(pose)
     if calibrated.deviations is not None:
@@ -48,7 +49,8 @@ def extrinsics(
         world_frame=world,
         deviations=deviations,
     )
-    figures = f"{len(found.views)} pictures, rms {pose.rms_px:.3f} px, the mirrored tilt {pose.rival_rms_px:.2f} px"
+    rival = f"the mirrored tilt {pose.rival_rms_px:.2f} px" if isfinite(pose.rival_rms_px) else "no other tilt fits"
+    figures = f"{len(found.views)} pictures, rms {pose.rms_px:.3f} px, {rival}"
     provenance = Provenance("page-calibrate extrinsics", str(pictures), (f"{board}", figures))
     write_calibration(out, Calibration((placed,), provenance))
     residuals = [view.pixels - raw.project(apply(pose.T_camera_board, view.points_board)) for view in found.views]
