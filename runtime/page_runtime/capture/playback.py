@@ -13,7 +13,8 @@ from page_runtime.capture.layouts import WINDOW_S
 from page_runtime.capture.mcap_file import McapFile
 from page_runtime.capture.own_recording import read_recording
 from page_runtime.capture.reartmix import read_reartmix
-from page_runtime.capture.ros_bag import MessageStore, SqliteFile, bag_files, read_stores
+from page_runtime.capture.ros_bag import SqliteFile, bag_files, read_stores
+from page_runtime.capture.ros_topics import MessageStore
 from page_runtime.capture.sensor_recordings import is_kinect_video, is_realsense_bag, read_kinect, read_realsense
 from page_runtime.capture.tum import is_tum, read_tum
 from page_runtime.image_files import SourceError

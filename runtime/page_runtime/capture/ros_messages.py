@@ -35,6 +35,8 @@ IMAGE, COMPRESSED, INFO, STRING = (
     "sensor_msgs/msg/CameraInfo",
     "std_msgs/msg/String",
 )
+TRANSFORMS, EXTRINSICS = "tf2_msgs/msg/TFMessage", "realsense2_camera_msgs/msg/Extrinsics"
+EXTRINSICS_DEFINITION = "float64[9] rotation\nfloat64[3] translation\n"
 MISSING = "ROS 2 bags need rosbags, which is not installed; pip install 'page-edge[ros]'"
 METRES_PER_UNIT = 1e-3
 COLOR_ENCODINGS = {"rgb8": None, "bgr8": cv2.COLOR_BGR2RGB, "rgba8": cv2.COLOR_RGBA2RGB, "bgra8": cv2.COLOR_BGRA2RGB}
@@ -56,10 +58,12 @@ class Message:
 def typestore() -> Any:
     """The message definitions of ROS 2, from rosbags."""
     try:
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise SourceError(MISSING) from error
-    return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(EXTRINSICS_DEFINITION, EXTRINSICS))
+    return store
 
 
 def definition(kind: str) -> str:
