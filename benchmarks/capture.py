@@ -3,7 +3,8 @@
     python benchmarks/capture.py [--frames N] [--cycles N] [--json FILE]
 
 Frames are 640x480: a smooth noisy picture and depth in millimetres. Decoding is timed frame by frame, in order, on one
-thread. The live path is timed from the moment the child has a frame to the moment it is there for the application.
+thread; registering is of raw depth and raw colour of two cameras, colour's lens taken out. The live path is timed from
+the moment the child has a frame to the moment it is there for the application.
 Needs the extra ros; --cycles starts and stops a live source so often and says what it has left behind (needs psutil).
 """
 
@@ -35,13 +36,18 @@ from page_runtime.capture.undistortion import undistorted
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
+from page_runtime.depth_registration import registered_frame, registration_between
 from page_runtime.frame import RgbdFrame
-from page_runtime.lens import Distortion
+from page_runtime.geometry import transform_from
+from page_runtime.lens import Distortion, RawCamera
 from page_runtime.recorded import RecordedFrame
 
 EXIT_BAD_INPUT = 2
 WIDTH, HEIGHT, FPS = 640, 480, 30.0
 CAMERA = Camera(np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]]), WIDTH, HEIGHT)
+# A depth camera 3 cm beside colour.
+DEPTH_CAMERA = Camera(np.array([[440.0, 0, 321.0], [0, 440.0, 238.0], [0, 0, 1]]), WIDTH, HEIGHT)
+PLACED = Camera(CAMERA.K, WIDTH, HEIGHT, transform_from(np.eye(3), np.array([-0.03, 0.0, 0.004])))
 LENS = Distortion("brown-conrady", np.array([0.26, -0.95, -0.005, 0.003, 1.16]))
 PACKAGES = ("page-edge", "numpy", "opencv-python-headless", "mcap", "rosbags", "lz4")
 
@@ -78,6 +84,10 @@ def _run(options: argparse.Namespace) -> None:
     straighten = partial(undistorted, first.color, first.depth_m, first.camera, LENS)
     straighten()
     document["undistort"] = _percentiles([_milliseconds(straighten) for _ in frames])
+    registration = registration_between(RawCamera(DEPTH_CAMERA), RawCamera(PLACED, LENS))
+    register = partial(registered_frame, registration, first.color, first.depth_m)
+    register()
+    document["register"] = _percentiles([_milliseconds(register) for _ in frames])
     print("capture: live", file=sys.stderr)
     document["live"] = _percentiles(_live_delays(options.frames))
     if options.cycles:
@@ -171,7 +181,7 @@ def _cycles(count: int) -> dict[str, Any]:
 def _readable(document: dict[str, Any]) -> str:
     named = {f"decode {name}": values for name, values in document["decode"].items()}
     named |= {f"record {name}": values for name, values in document["record"].items()}
-    named |= {name: document[name] for name in ("undistort", "live")}
+    named |= {name: document[name] for name in ("undistort", "register", "live")}
     columns = ("p50_ms", "p95_ms", "cpu_p50_ms", "cpu_p95_ms")
     rows = [(name, *(number(values[column], 2) for column in columns)) for name, values in named.items()]
     text = table(("ms", "wall p50", "p95", "processor p50", "p95"), rows)

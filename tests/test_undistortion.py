@@ -40,7 +40,10 @@ def test_pictures_are_straightened_as_opencv_does_it(model: str, coefficients: t
     straight, registered = undistorted(color, depth_m, CAMERA, lens_of(model, coefficients, where="test"))
     columns, rows = opencv_maps(model, coefficients)
     expected = cv2.remap(color, columns, rows, cv2.INTER_LINEAR)
-    assert np.abs(straight.astype(int) - expected).max() <= 1
+    # Places are rounded to a 32nd of a pixel; beyond the border is black.
+    within = (columns >= 0) & (columns <= CAMERA.width - 1) & (rows >= 0) & (rows <= CAMERA.height - 1)
+    steepest = max(np.abs(np.diff(color.astype(int), axis=axis)).max() for axis in (0, 1))
+    assert np.abs(straight.astype(int) - expected)[within].max() <= 1 + steepest / 16
     assert not np.array_equal(straight, color)
     nearest = cv2.remap(depth_m, columns, rows, cv2.INTER_NEAREST)
     # A pixel on the edge between two readings may round either way.

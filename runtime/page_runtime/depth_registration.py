@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, invert
-from page_runtime.lens import RawCamera, sampled
+from page_runtime.lens import FixedMap, RawCamera, fixed_map, sampled
 
 # Four readings are one surface when their 1/z differ by less than this share: 45 degrees at f = 300 px is 0.5 %, two
 # surfaces of an object stand farther apart.
 SAME_SURFACE = 0.02
+# Below it a sensor has no reading.
+NO_READING_M = np.float32(1e-6)
 # A third look moves no depth by more than float32 rounding.
 LOOKS = 2
 
@@ -30,17 +32,18 @@ LOOKS = 2
 class Registration:
     """Everything about a pair of cameras that does not change from frame to frame.
 
-    depth, color: the raw cameras. camera: the pinhole of registered pictures, color's K and place. color_map: (H,W,2)
-    float32, raw colour pixel of each registered one. depth_map: (h,w,2) float32, raw depth pixel of each pixel of the
-    undistorted depth picture. rays_depth: (3,H,W) float32, ray of each registered pixel in the depth camera's frame.
+    depth, color: the raw cameras. camera: the pinhole of registered pictures, color's K and place. color_map: raw
+    colour pixel of each registered one. depth_map: (h,w,2) float32, raw depth pixel of each pixel of the undistorted
+    depth picture. pixel_rays: (3,H,W) float32, direction of each registered pixel's ray in homogeneous pixels of the
+    undistorted depth picture.
     """
 
     depth: RawCamera
     color: RawCamera
     camera: Camera
-    color_map: NDArray[np.float32]
+    color_map: FixedMap
     depth_map: NDArray[np.float32]
-    rays_depth: NDArray[np.float32]
+    pixel_rays: NDArray[np.float32]
 
     @property
     def T_color_depth(self) -> Array:
@@ -58,9 +61,11 @@ def registration_between(depth: RawCamera, color: RawCamera) -> Registration:
         depth=depth,
         color=color,
         camera=camera,
-        color_map=color.pixel_map(camera),
+        color_map=fixed_map(color.pixel_map(camera)),
         depth_map=depth.pixel_map(depth.camera),
-        rays_depth=np.ascontiguousarray(np.moveaxis(rays @ R_depth_color.T, -1, 0), dtype=np.float32),
+        pixel_rays=np.ascontiguousarray(
+            np.moveaxis(rays @ (depth.camera.K @ R_depth_color).T, -1, 0), dtype=np.float32
+        ),
     )
 
 
@@ -79,46 +84,51 @@ def register_depth(registration: Registration, depth_m: NDArray[np.float32]) -> 
         camera.K,
         np.zeros(4),
         registration.T_color_depth,
-        np.where(nearest > 0, nearest, np.nan).astype(np.float32),
+        np.where(nearest > 0, nearest, np.float32(np.nan)),
         (camera.width, camera.height),
         depthDilation=True,
     )
-    z = np.nan_to_num(np.asarray(registered, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return _between_readings(registration, depth_m, z)
+    return _between_readings(registration, depth_m, np.asarray(cv2.patchNaNs(registered, 0.0), dtype=np.float32))
 
 
 def _between_readings(
     registration: Registration, depth_m: NDArray[np.float32], z: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """`z` with the roundings taken out, where four readings of one surface surround the ray."""
-    with np.errstate(divide="ignore"):
-        inverse = np.where(depth_m > 0, np.float32(1) / depth_m, np.float32(0))
-    corners = (inverse[:-1, :-1], inverse[:-1, 1:], inverse[1:, :-1], inverse[1:, 1:])
-    low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
-    one_surface = np.zeros(inverse.shape, np.uint8)
-    one_surface[:-1, :-1] = (low > 0) & (high - low <= SAME_SURFACE * high)
-    raw, K = registration.depth, registration.depth.camera.K.astype(np.float32)
-    T_depth_color = invert(registration.T_color_depth).astype(np.float32)
-    row = registration.T_color_depth[2].astype(np.float32)
-    ray_x, ray_y, ray_z = registration.rays_depth
-    x0, y0, z0 = T_depth_color[:3, 3]
-    found = z
+    inverse = np.asarray(np.float32(1) / np.maximum(depth_m, NO_READING_M), np.float32)
+    cell = np.ones((2, 2), np.uint8)
+    low = cv2.erode(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
+    high = cv2.dilate(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=np.inf)
+    one_surface = ((high < 1 / NO_READING_M) & (high - low <= SAME_SURFACE * high)).view(np.uint8)
+    x0, y0, z0 = (registration.depth.camera.K @ invert(registration.T_color_depth)[:3, 3]).astype(np.float32)
+    shift = np.float32(registration.T_color_depth[2, 3])
+    ray_x, ray_y, ray_z = (np.asarray(ray, np.float32) for ray in registration.pixel_rays)
+    # Without a reading the ray's point is the depth camera's own place, as far as that: nowhere in its picture.
+    found, allowed = z, np.float32(SAME_SURFACE) * z
     for _ in range(LOOKS):
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = 1 / (found * ray_z + z0)
-            x, y = (found * ray_x + x0) * scale, (found * ray_y + y0) * scale
-            u, v = K[0, 0] * x + K[0, 1] * y + K[0, 2], K[1, 1] * y + K[1, 2]
-        if not raw.distortion.is_none:
-            pixels = sampled(registration.depth_map, np.stack([u, v], axis=-1), outside=-1.0)
-            u, v = pixels[..., 0], pixels[..., 1]
-        at = np.nan_to_num(np.stack([u, v], axis=-1), nan=-1.0)
-        read = sampled(inverse, at)
-        inside = sampled(one_surface, np.floor(at), nearest=True) > 0
+            u, v = (found * ray_x + x0) * scale, (found * ray_y + y0) * scale
+        if not registration.depth.distortion.is_none:
+            pixels = _remapped(registration.depth_map, u, v, outside=-9.0)
+            u, v = (np.ascontiguousarray(pixels[..., i]) for i in (0, 1))
+        read = _remapped(inverse, u, v)
+        # Rounding half a pixel less finds the upper left of the four.
+        inside = cv2.remap(one_surface, u - np.float32(0.5), v - np.float32(0.5), cv2.INTER_NEAREST)
+        # A point's depth along colour's axis less the cameras' distance along it goes as its depth along the other's.
         with np.errstate(divide="ignore", invalid="ignore"):
-            moved = (row[0] * x + row[1] * y + row[2]) / read + row[3]
-            accepted = inside & (found > 0) & (np.abs(moved - z) <= SAME_SURFACE * z)
+            moved = (found - shift) * scale / read + shift
+            accepted = (np.abs(moved - z) <= allowed) & inside.view(bool)
         found = np.where(accepted, moved, found)
     return found
+
+
+def _remapped(
+    picture: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32], *, outside: float = 0.0
+) -> NDArray[np.float32]:
+    value = (outside,) * 4
+    read = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=value)
+    return np.asarray(read, np.float32)
 
 
 def undistort_color(registration: Registration, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -126,7 +136,7 @@ def undistort_color(registration: Registration, color: NDArray[np.uint8]) -> NDA
     _require_picture(color, registration.color.camera, np.uint8, "color")
     if registration.color.distortion.is_none:
         return color
-    return sampled(color, registration.color_map)
+    return np.asarray(cv2.remap(color, *registration.color_map, cv2.INTER_LINEAR), np.uint8)
 
 
 def registered_frame(

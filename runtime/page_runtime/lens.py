@@ -172,6 +172,17 @@ def sampled(picture: NDArray[Any], pixels: Array, *, nearest: bool = False, outs
     return np.asarray(cv2.remap(picture, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=(outside,) * 4))
 
 
+# Whole pixels (h,w,2) int16 and their 32nds (h,w) uint16.
+FixedMap = tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+
+def fixed_map(pixels: Array) -> FixedMap:
+    """Pixels (h,w,2) as cv2.remap takes them for 8-bit pictures in half the time, rounded to a 32nd."""
+    u, v = (np.ascontiguousarray(pixels[..., i], dtype=np.float32) for i in (0, 1))
+    whole, parts = cv2.convertMaps(u, v, cv2.CV_16SC2)
+    return np.asarray(whole, np.int16), np.asarray(parts, np.uint16)
+
+
 NO_DISTORTION = Distortion()
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
 from page_runtime.image_files import SourceError
-from page_runtime.lens import ROS_MODELS, Distortion, DistortionModel, RawCamera
+from page_runtime.lens import ROS_MODELS, Distortion, DistortionModel, FixedMap, RawCamera, fixed_map
 
 
 def lens_of(model: str, coefficients: Sequence[float], *, where: str) -> Distortion:
@@ -33,10 +33,10 @@ def undistorted(
     """
     if distortion.is_none:
         return color, depth_m
-    columns, rows = _maps(
+    fixed, columns, rows = _maps(
         camera.K.tobytes(), camera.width, camera.height, distortion.model, distortion.coefficients.tobytes()
     )
-    straight = cv2.remap(color, columns, rows, cv2.INTER_LINEAR)
+    straight = cv2.remap(color, *fixed, cv2.INTER_LINEAR)
     nearest = cv2.remap(depth_m, columns, rows, cv2.INTER_NEAREST)
     return np.asarray(straight, np.uint8), np.asarray(nearest, np.float32)
 
@@ -44,7 +44,7 @@ def undistorted(
 @lru_cache(maxsize=4)
 def _maps(
     K: bytes, width: int, height: int, model: DistortionModel, coefficients: bytes
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[FixedMap, NDArray[np.float32], NDArray[np.float32]]:
     camera = Camera(np.frombuffer(K).reshape(3, 3), width, height)
     place = RawCamera(camera, Distortion(model, np.frombuffer(coefficients))).pixel_map(camera)
-    return np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
+    return fixed_map(place), np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
