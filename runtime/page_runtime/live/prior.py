@@ -1,0 +1,100 @@
+"""What the last frames say of the next one: poses with covariances, where to look, and what surface to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.articulation import PartEvidence
+from page_runtime.camera import Camera
+from page_runtime.category import Category
+from page_runtime.geometry import apply
+from page_runtime.pose import PartPose
+from page_runtime.sampling import Region
+
+# Surfaces that stick out of the picture count as far as this many of its sides.
+_FAR_SIDES = 2
+_LEAST_SIDE_PX = 8
+_NEAR_M = 0.05
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PartPrior:
+    """One part as it is expected. evidence: its pose, size and their covariance. last: its pose as the network last saw
+    it. surface_part: (n,3) m, the points that made it, in the part's frame."""
+
+    evidence: PartEvidence
+    last: PartPose
+    surface_part: NDArray[np.float32]
+
+    @property
+    def surface_camera(self) -> NDArray[np.float32]:
+        """(n,3) m, where these points are expected."""
+        return apply(self.evidence.T_camera_part, self.surface_part).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prior:
+    """An object as it is expected in a frame. parts: in the category's order, None for one that was not seen.
+    background_camera: (m,3) m, points around it that are not of it."""
+
+    parts: tuple[PartPrior | None, ...]
+    background_camera: NDArray[np.float32]
+
+    @property
+    def known(self) -> list[PartPrior]:
+        return [part for part in self.parts if part is not None]
+
+    @property
+    def depth_m(self) -> float:
+        """z of the object's middle."""
+        return float(np.mean([part.evidence.T_camera_part[2, 3] for part in self.known]))
+
+
+def expected_region(prior: Prior, category: Category, camera: Camera) -> Region | None:
+    """(x,y,w,h) px around the expected surfaces, as far as they are in the picture; None if they are not."""
+    surfaces = [_outline(part, index, category) for index, part in enumerate(prior.parts) if part is not None]
+    points = np.concatenate(surfaces)
+    if points[:, 2].min() < _NEAR_M:
+        return None
+    pixels = (points @ camera.K.T)[:, :2] / points[:, 2:]
+    size = np.array([camera.width, camera.height])
+    low, high = np.maximum(pixels.min(axis=0), 0.0), np.minimum(pixels.max(axis=0), size - 1.0)
+    if (high - low < _LEAST_SIDE_PX).any():
+        return None
+    x, y = np.floor(low).astype(int)
+    w, h = np.ceil(high - low).astype(int) + 1
+    return int(x), int(y), int(w), int(h)
+
+
+def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floating]:
+    """(n,3) m of the part's template where it is expected, or of its box without one."""
+    evidence, template = part.evidence, category.parts[index].template
+    half = 0.5 * evidence.extents_unit
+    unit = (
+        np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        if template is None or not len(template.points_unit)
+        else template.points_unit * (evidence.extents_unit / template.extents_unit)
+    )
+    return apply(evidence.T_camera_part, evidence.scale_m * unit)
+
+
+def surfaces_of(
+    pose_parts: Sequence[object],
+    points_camera: NDArray[np.float32],
+    members: Sequence[NDArray[np.intp]],
+) -> tuple[list[NDArray[np.float32] | None], NDArray[np.float32]]:
+    """Of every part that has a pose its points (n,3) m in its own frame, and the points (m,3) m that are of none."""
+    surfaces: list[NDArray[np.float32] | None] = []
+    for part, own in zip(pose_parts, members, strict=True):
+        if isinstance(part, PartPose):
+            R, t = part.T_camera_part[:3, :3], part.T_camera_part[:3, 3]
+            surfaces.append(((points_camera[own] - t) @ R).astype(np.float32))
+        else:
+            surfaces.append(None)
+    of_object = np.concatenate(members) if len(members) else np.empty(0, np.intp)
+    background = np.delete(points_camera, of_object, axis=0)
+    return surfaces, background
