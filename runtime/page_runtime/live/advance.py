@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.estimator import sample_for
 from page_runtime.frame import RgbdFrame
@@ -56,11 +57,16 @@ def trust(pose: ArticulatedPose) -> float:
     return float(np.mean(known)) if 2 * len(known) >= len(pose.parts) and known else 0.0
 
 
-def observation(sample: RegionSample, output: NetworkOutput, pose: ArticulatedPose) -> Observation:
+def observation(frame: RgbdFrame, sample: RegionSample, output: NetworkOutput, pose: ArticulatedPose) -> Observation:
     """What a track remembers of a pose and the points it was made of."""
-    points = answered_points(sample, output)
-    surfaces, background = surfaces_of(pose.parts, points, members_of(output, sample.num_distinct))
+    points, colors = answered_points(sample, output), _colors(frame, sample)
+    surfaces, background = surfaces_of(pose, points, colors, members_of(output, sample.num_distinct))
     return Observation(pose, surfaces, background)
+
+
+def _colors(frame: RgbdFrame, sample: RegionSample) -> NDArray[np.uint8]:
+    """(N,3) RGB of the sample's points."""
+    return frame.color.reshape(-1, 3)[sample.source_index]
 
 
 def advanced(
@@ -77,8 +83,8 @@ def advanced(
     if isinstance(sample, str):
         return _missed(track, region, sample)
     due = time_s - track.checked_s >= CHECK_S or track.missed > 0 or track.doubts > 0
-    if track.fits < FITS_BETWEEN and not due:
-        fitted = fit_near(network.metadata.category, sample, prior, watch)
+    if track.fits < FITS_BETWEEN and track.steady and not due:
+        fitted = fit_near(network.metadata.category, sample, _colors(frame, sample), prior, watch)
         if not isinstance(fitted, str):
             return Advanced(with_fit(track, fitted, frame.camera, time_s), fitted.pose, region)
     output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
@@ -116,13 +122,13 @@ class _Seen:
 
     def kept(self, pose: ArticulatedPose, *, searched: bool) -> Advanced:
         """The track goes on with this pose."""
-        observed = observation(self.sample, self.output, pose)
+        observed = observation(self.frame, self.sample, self.output, pose)
         track = with_observation(self.track, observed, self.frame.camera, self.time_s)
         return Advanced(track, pose, self.region, searched, network=True)
 
     def restarted(self, pose: ArticulatedPose) -> Advanced:
         """The object is elsewhere: what was known of its motion is forgotten."""
-        observed = observation(self.sample, self.output, pose)
+        observed = observation(self.frame, self.sample, self.output, pose)
         category = self.network.metadata.category
         track = begun(self.track.number, category, observed, self.frame.camera, self.time_s)
         return Advanced(track, pose, self.region, searched=True, network=True)

@@ -44,7 +44,7 @@ class _Lost:
 class Tracking:
     """Finds objects where `locator` says, and follows each from frame to frame (`advance`).
 
-    max_looks: at most so many looks at a frame in a full search; most: objects at a time, None for as many as there are.
+    max_looks: at most so many looks at a frame in a full search; most: objects at a time, None for any number.
     """
 
     def __init__(self, network: Network, locator: Locator, *, max_looks: int = 1, most: int | None = None) -> None:
@@ -111,9 +111,9 @@ class Tracking:
         return "tracking" if self._tracks else "searching"
 
     def _wants_more(self, time_s: float) -> bool:
-        if self._most is not None and len(self._tracks) >= self._most:
+        if self._full():
             return False
-        return not self._tracks or bool(self._lost) or time_s - self._looked_s >= LOOK_AROUND_S
+        return not self._tracks or bool(self._missing()) or time_s - self._looked_s >= LOOK_AROUND_S
 
     def _search(
         self,
@@ -128,7 +128,7 @@ class Tracking:
         self._looked_s = time_s
         frame = recorded.frame
         began = perf_counter()
-        places = [*(one.region for one in self._lost), *self._locator.locate(recorded)]
+        places = [*self._locator.locate(recorded), *(one.region for one in self._lost)]
         stage_ms["locating"] = 1e3 * (perf_counter() - began)
         free = [place for place in places if not self._occupied(place)]
         if not free:
@@ -149,14 +149,22 @@ class Tracking:
             if found.sample is None or found.output is None or trust(found.pose) < START_TRUST:
                 reasons.append(_refused(found.pose))
                 continue
-            seen = observation(found.sample, found.output, found.pose)
+            seen = observation(frame, found.sample, found.output, found.pose)
             objects.append(self._begin(seen, place, frame, time_s))
-            if self._most is not None and len(self._tracks) >= self._most:
+            if self._full():
                 break
         return objects
 
+    def _full(self) -> bool:
+        """Whether as many objects are seen as there can be."""
+        return self._most is not None and sum(not track.missed for track, _ in self._tracks) >= self._most
+
+    def _missing(self) -> list[tuple[Track, Region]]:
+        """Tracks whose object was not seen in this frame, and where it was: lost ones, and those that soon will be."""
+        return [*((one.track, one.region) for one in self._lost), *(own for own in self._tracks if own[0].missed)]
+
     def _occupied(self, place: Region) -> bool:
-        return any(overlap(place, region) > _SAME_PLACE for _, region in self._tracks)
+        return any(overlap(place, region) > _SAME_PLACE for track, region in self._tracks if not track.missed)
 
     def _begin(self, seen: Observation, region: Region, frame: RgbdFrame, time_s: float) -> LiveObject:
         number, category = self._number_at(region), self._network.metadata.category
@@ -166,20 +174,15 @@ class Tracking:
         return LiveObject(number, region, seen.pose, tracked=False, joint_rates=joint_rates(track))
 
     def _number_at(self, region: Region) -> int:
-        """Of the object that was lost nearest to `region`, or a new one."""
-        if not self._lost:
+        """Of the missing object that was nearest to `region`, whose old track ends here, or a new one."""
+        missing = self._missing()
+        if not missing:
             self._next_number += 1
             return self._next_number - 1
-        x, y, w, h = region
-        nearest = min(
-            self._lost,
-            key=lambda one: (
-                (one.region[0] + one.region[2] / 2 - x - w / 2) ** 2
-                + (one.region[1] + one.region[3] / 2 - y - h / 2) ** 2
-            ),
-        )
-        self._lost.remove(nearest)
-        return nearest.track.number
+        number = min(missing, key=lambda own: _away(own[1], region))[0].number
+        self._lost = [one for one in self._lost if one.track.number != number]
+        self._tracks = [own for own in self._tracks if own[0].number != number]
+        return number
 
     def _live_object(self, step: Advanced, frame: RgbdFrame) -> LiveObject:
         assert step.pose is not None
@@ -212,6 +215,11 @@ class EachByItself:
             objects.append(LiveObject(number, place, pose, tracked=False))
         reason = "" if objects else "nothing says where an object is in this frame"
         return Followed(tuple(objects), "searching", stage_ms, reason, searched=len(objects))
+
+
+def _away(one: Region, other: Region) -> float:
+    """Squared distance of two regions' middles, px^2."""
+    return (one[0] + one[2] / 2 - other[0] - other[2] / 2) ** 2 + (one[1] + one[3] / 2 - other[1] - other[3] / 2) ** 2
 
 
 def _add(stage_ms: dict[str, float], pose: ArticulatedPose) -> None:

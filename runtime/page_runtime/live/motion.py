@@ -21,9 +21,10 @@ ROTATION_ACCELERATION = 4.0
 TRANSLATION_ACCELERATION = 0.8
 # Before anything is known of a motion: turning [rad/s], moving [m/s].
 START_RATES = (1.0, 0.3)
-# Of a squared deviation of six degrees of freedom: above it the motion is not the foreseen one.
-_SURPRISE = 16.8
-_MOST_SURPRISE = 100.0
+# The 99 % quantile of chi-square with six degrees of freedom: above it a motion is not the foreseen one.
+SURPRISE = 16.8
+_FREEDOM = 6.0
+_MOST_FORGOTTEN = 1e4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,12 +91,13 @@ def surprise(motion: Motion, T_a_part: Array, covariance: FloatArray) -> float:
 def measured(motion: Motion, T_a_part: Array, covariance: FloatArray) -> Motion:
     """The motion with a pose measured at its time. covariance: (6,6) of the measurement.
 
-    A measurement that surprises says that the motion is not what was foreseen: what is known of it is then forgotten in
-    that proportion first (a fading memory), so that a sudden start or stop does not take a second to be followed.
+    A measurement that surprises says that the motion is not what was foreseen: what is known of it is then forgotten
+    first (a fading memory), the more the larger the surprise, so that a sudden start or stop is followed at once.
     """
-    excess = surprise(motion, T_a_part, covariance) / _SURPRISE
-    if excess > 1.0:
-        motion = replace(motion, covariance=motion.covariance * min(excess, _MOST_SURPRISE))
+    excess = surprise(motion, T_a_part, covariance)
+    if excess > SURPRISE:
+        forgotten = min((excess / _FREEDOM) ** 2, _MOST_FORGOTTEN)
+        motion = replace(motion, covariance=motion.covariance * forgotten)
     step = step_between(motion.T_a_part, T_a_part)
     spread = motion.pose_covariance + covariance
     gain = np.linalg.solve(spread, motion.covariance[:6]).T

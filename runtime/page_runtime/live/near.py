@@ -41,7 +41,11 @@ _REFERENCE_POINTS = 768
 # From a good start the last rounds of `icp` are enough.
 _FIT_ROUNDS = (160, 160, 256)
 # A point farther from every surface expected is of something that has come since.
-_REACH_M = 0.025
+_REACH_M = 0.02
+# More points than this share beyond that, or of another colour (levels of 255), and the object is elsewhere.
+_MOST_STRANGE = 0.1
+_OTHER_COLOR = 50
+_MOST_REPAINTED = 0.3
 # Of the points that a part had when the network last saw it: with fewer something is before it, or it has turned away.
 _LEAST_SHARE = 0.4
 _LEAST_POINTS = 24
@@ -99,14 +103,21 @@ class Fitted:
     evidence: tuple[PartEvidence | None, ...]
 
 
-def fit_near(category: Category, sample: RegionSample, prior: Prior, watch: Stopwatch) -> Fitted | str:
+def fit_near(
+    category: Category, sample: RegionSample, colors: NDArray[np.uint8], prior: Prior, watch: Stopwatch
+) -> Fitted | str:
     """Every expected part fitted to the points of `sample` that are nearest to its surface, or why that is not enough.
 
-    The expected pose is the prior that `icp` holds the pose with, so the answer is the most probable pose under both.
+    colors: (N,3) uint8 RGB of the sample's points. The expected pose is the prior that `icp` holds the pose with, so
+    the answer is the most probable pose under both. What stands where nothing is expected, and points of another colour
+    than the surface had there, say that the object is elsewhere: depth alone would then slide a part along itself.
     confidence, scores and inliers are those of the last answer of the network, as this has nothing new to say of them.
     """
     points = sample.points_camera[: min(sample.num_distinct, _FIT_POINTS)]
-    members = _members(points, sample.center_camera, prior)
+    members, doubt = _members(points, colors[: len(points)], sample.center_camera, prior)
+    watch.stage("registration")
+    if doubt:
+        return doubt
     evidence: list[PartEvidence | None] = []
     for part, own, spec in zip(prior.parts, members, category.parts, strict=True):
         if part is None:
@@ -129,29 +140,36 @@ def fit_near(category: Category, sample: RegionSample, prior: Prior, watch: Stop
 
 
 def _members(
-    points_camera: NDArray[np.float32], center_camera: NDArray[np.float32], prior: Prior
-) -> list[NDArray[np.intp]]:
-    """For each part the points whose nearest expected surface is its own."""
-    surfaces = [np.empty((0, 3), np.float32) if part is None else _thinned(part.surface_camera) for part in prior.parts]
-    surfaces.append(_thinned(prior.background_camera))
-    reference = np.concatenate(surfaces) - center_camera
-    owner = np.repeat(np.arange(len(surfaces)), [len(surface) for surface in surfaces])
+    points_camera: NDArray[np.float32], colors: NDArray[np.uint8], center_camera: NDArray[np.float32], prior: Prior
+) -> tuple[list[NDArray[np.intp]], str]:
+    """For each part the points whose nearest expected surface is its own; and what speaks against all of them."""
+    nowhere, unseen = np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)
+    placed = [nowhere if part is None else part.surface_camera[:_REFERENCE_POINTS] for part in prior.parts]
+    placed.append(prior.background_camera[:_REFERENCE_POINTS])
+    painted = [unseen if part is None else part.surface.colors[:_REFERENCE_POINTS] for part in prior.parts]
+    painted.append(np.zeros(placed[-1].shape, np.uint8))
+    reference = np.concatenate(placed) - center_camera
+    owner = np.repeat(np.arange(len(placed)), [len(surface) for surface in placed])
     queries = points_camera - center_camera
     index = nearest(queries, reference, 1)[:, 0]
     away = queries - reference[index]
     near = np.einsum("nk,nk->n", away, away) <= _REACH_M**2
-    return [np.flatnonzero(near & (owner[index] == k)) for k in range(len(prior.parts))]
-
-
-def _thinned(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    # They come in an order whose prefixes are evenly spread.
-    return points[:_REFERENCE_POINTS]
+    of_part = near & (owner[index] < len(prior.parts))
+    strange = 1.0 - float(near.mean())
+    change = np.abs(np.concatenate(painted)[index[of_part]].astype(np.int16) - colors[of_part]).max(axis=1)
+    repainted = float(np.mean(change > _OTHER_COLOR)) if len(change) else 0.0
+    doubt = ""
+    if strange > _MOST_STRANGE:
+        doubt = f"{100 * strange:.0f} % of the points are where nothing was"
+    elif repainted > _MOST_REPAINTED:
+        doubt = f"{100 * repainted:.0f} % of its points have another colour than its surface had there"
+    return [np.flatnonzero(near & (owner[index] == k)) for k in range(len(prior.parts))], doubt
 
 
 def _fitted(
     part: PartPrior, points_camera: NDArray[np.float32], spec: Part, share_of_sample: float
 ) -> PartEvidence | str:
-    needed = max(_LEAST_POINTS, round(_LEAST_SHARE * share_of_sample * len(part.surface_part)))
+    needed = max(_LEAST_POINTS, round(_LEAST_SHARE * share_of_sample * len(part.surface)))
     if len(points_camera) < needed:
         return f"{len(points_camera)} points are near it, {needed} are needed"
     if spec.template is None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from page_runtime.articulation import PartEvidence
 from page_runtime.camera import Camera
 from page_runtime.category import Category
-from page_runtime.geometry import apply
-from page_runtime.pose import PartPose
+from page_runtime.geometry import apply, invert
+from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.sampling import Region
 
 # Surfaces that stick out of the picture count as far as this many of its sides.
@@ -22,18 +22,29 @@ _NEAR_M = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Surface:
+    """Visible points of a part: points (n,3) m in its frame, colors (n,3) uint8 RGB."""
+
+    points: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class PartPrior:
     """One part as it is expected. evidence: its pose, size and their covariance. last: its pose as the network last saw
-    it. surface_part: (n,3) m, the points that made it, in the part's frame."""
+    it. surface: the points that made it, in the part's frame."""
 
     evidence: PartEvidence
     last: PartPose
-    surface_part: NDArray[np.float32]
+    surface: Surface
 
     @property
     def surface_camera(self) -> NDArray[np.float32]:
         """(n,3) m, where these points are expected."""
-        return apply(self.evidence.T_camera_part, self.surface_part).astype(np.float32)
+        return apply(self.evidence.T_camera_part, self.surface.points).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,18 +94,18 @@ def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floa
 
 
 def surfaces_of(
-    pose_parts: Sequence[object],
+    pose: ArticulatedPose,
     points_camera: NDArray[np.float32],
+    colors: NDArray[np.uint8],
     members: Sequence[NDArray[np.intp]],
-) -> tuple[list[NDArray[np.float32] | None], NDArray[np.float32]]:
-    """Of every part that has a pose its points (n,3) m in its own frame, and the points (m,3) m that are of none."""
-    surfaces: list[NDArray[np.float32] | None] = []
-    for part, own in zip(pose_parts, members, strict=True):
+) -> tuple[list[Surface | None], NDArray[np.float32]]:
+    """The surface of every part that has a pose, and the points (m,3) m that are of none. members: each part's rows of
+    points_camera (N,3) m and colors (N,3)."""
+    surfaces: list[Surface | None] = []
+    for part, own in zip(pose.parts, members, strict=True):
         if isinstance(part, PartPose):
-            R, t = part.T_camera_part[:3, :3], part.T_camera_part[:3, 3]
-            surfaces.append(((points_camera[own] - t) @ R).astype(np.float32))
+            points = apply(invert(part.T_camera_part), points_camera[own])
+            surfaces.append(Surface(points.astype(np.float32), colors[own]))
         else:
             surfaces.append(None)
-    of_object = np.concatenate(members) if len(members) else np.empty(0, np.intp)
-    background = np.delete(points_camera, of_object, axis=0)
-    return surfaces, background
+    return surfaces, np.delete(points_camera, np.concatenate(members), axis=0)

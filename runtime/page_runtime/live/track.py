@@ -16,7 +16,7 @@ from page_runtime.live import motion as motions
 from page_runtime.live.joint_filter import JointMotion, joint_measured
 from page_runtime.live.motion import Motion
 from page_runtime.live.near import Fitted
-from page_runtime.live.prior import PartPrior, Prior
+from page_runtime.live.prior import PartPrior, Prior, Surface
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose
 from page_runtime.similarity import FloatArray
 
@@ -30,32 +30,32 @@ _FORGOTTEN_S = 1.0
 @dataclass(frozen=True, eq=False, slots=True)
 class TrackedPart:
     """motion: in the world (`Camera.T_camera_world`; the camera's frame where that is the identity). extents_m: (3,)
-    mean of num_sizes estimates. last: the pose as the network last saw it, and surface_part (n,3) m the points it was
-    made of, in the part's frame."""
+    mean of num_sizes estimates. last: the pose as the network last saw it, and the surface it was made of."""
 
     motion: Motion
-    extents_m: FloatArray
+    extents_m: Array
     num_sizes: int
     last: PartPose
-    surface_part: NDArray[np.float32]
+    surface: Surface
     seen_s: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
-    """What the network made of a frame. surfaces: for each part its points (n,3) m in its frame, None without a pose;
-    background_camera: (m,3) m, points that are of no part."""
+    """What the network made of a frame. surfaces: of each part, None without a pose; background_camera: (m,3) m, points
+    that are of no part."""
 
     pose: ArticulatedPose
-    surfaces: Sequence[NDArray[np.float32] | None]
+    surfaces: Sequence[Surface | None]
     background_camera: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Track:
-    """One object. number: its own, never given twice. parts, joints: in the category's order. background_world: (m,3) m.
-    time_s: of its last frame. fits: frames by depth alone since the network's last. checked_s: when a full search last
-    agreed. missed: frames in a row without it. doubts: full searches in a row that found it otherwise."""
+    """One object. number: its own, never given twice. parts, joints: in the category's order. background_world: (m,3)
+    m. time_s: of its last frame. fits: frames by depth alone since the network's last. checked_s: when a full search
+    last agreed. missed: frames in a row without it. doubts: full searches in a row that found it otherwise. steady: whether
+    it moved as foreseen when the network last saw it."""
 
     number: int
     parts: tuple[TrackedPart | None, ...]
@@ -66,6 +66,7 @@ class Track:
     fits: int = 0
     missed: int = 0
     doubts: int = 0
+    steady: bool = True
 
 
 def begun(number: int, category: Category, observed: Observation, camera: Camera, time_s: float) -> Track:
@@ -98,6 +99,10 @@ def with_observation(track: Track, observed: Observation, camera: Camera, time_s
     return replace(
         track,
         parts=parts,
+        steady=not any(
+            _surprising(before, part, T_world_camera, time_s)
+            for before, part in zip(track.parts, observed.pose.parts, strict=True)
+        ),
         joints=_joints(track, observed.pose.joints, time_s),
         background_world=apply(T_world_camera, observed.background_camera).astype(np.float32),
         time_s=time_s,
@@ -142,14 +147,16 @@ def _prior(part: TrackedPart, T_camera_world: Array, time_s: float) -> PartPrior
     covariance = np.diag(np.repeat([0.0, _SCALE_SIGMA**2], [6, 1]))
     covariance[:6, :6] = _turned(now.pose_covariance, T_camera_world[:3, :3])
     scale_m = float(np.linalg.norm(part.extents_m))
-    evidence = PartEvidence(T_camera_world @ now.T_a_part, scale_m, covariance, part.extents_m / scale_m)
-    return PartPrior(evidence, part.last, part.surface_part)
+    evidence = PartEvidence(
+        T_camera_world @ now.T_a_part, scale_m, covariance, np.asarray(part.extents_m / scale_m, np.float64)
+    )
+    return PartPrior(evidence, part.last, part.surface)
 
 
 def _observed(
     before: TrackedPart | None,
     part: PartPose | NotSeen,
-    surface: NDArray[np.float32] | None,
+    surface: Surface | None,
     T_world_camera: Array,
     time_s: float,
 ) -> TrackedPart | None:
@@ -163,6 +170,15 @@ def _observed(
     count = min(before.num_sizes + 1, _MOST_SIZES)
     extents_m = before.extents_m + (part.extents_m - before.extents_m) / count
     return TrackedPart(motions.measured(now, T_world_part, covariance), extents_m, count, part, surface, time_s)
+
+
+def _surprising(before: TrackedPart | None, part: PartPose | NotSeen, T_world_camera: Array, time_s: float) -> bool:
+    """Whether a part is not where it was foreseen to be."""
+    if before is None or isinstance(part, NotSeen):
+        return False
+    now = motions.predicted(before.motion, max(time_s, before.motion.time_s))
+    covariance = _turned(part.covariance, T_world_camera[:3, :3])
+    return motions.surprise(now, T_world_camera @ part.T_camera_part, covariance) > motions.SURPRISE
 
 
 def _settled(part: TrackedPart, evidence: PartEvidence, T_world_camera: Array, time_s: float) -> TrackedPart:

@@ -22,8 +22,8 @@ def votes_near(
 ) -> tuple[KeypointVotes, ...]:
     """The votes (Eq. 16-18) of the n keypoints of one part in the voxels around places_camera (n, 3) m.
 
-    points_camera: (N, 3) m; radii_m: (N, n) m. Of equal voxels the first in C order, as in `scoring`; `gap` is the votes
-    that are not there, as nothing is known of other voxels. Radii and points that are not finite do not vote.
+    points_camera: (N, 3) m; radii_m: (N, n) m. Of equal voxels the first in C order, as in `scoring`; `gap` is the
+    votes that are not there, as nothing is known of other voxels. Radii and points that are not finite do not vote.
     """
     points, radii = np.asarray(points_camera, np.float64), np.asarray(radii_m, np.float64)
     lowest_m, highest_m = rule.bounds_m(voxel_m)
