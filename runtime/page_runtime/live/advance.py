@@ -17,6 +17,7 @@ from page_runtime.estimator import sample_for
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array
 from page_runtime.live.deadline import Deadline
+from page_runtime.live.locate import covered
 from page_runtime.live.near import agreement, fit_near, pose_near
 from page_runtime.live.prior import Prior, expected_region, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
@@ -36,6 +37,8 @@ START_TRUST = 0.5
 SAME_ROTATION_RAD = float(np.radians(20.0))
 SAME_SHARE = 0.2
 _DOUBTS = 2
+# Of the region an object turns out to fill, the share that has to have been looked at.
+_ENOUGH = 0.8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,17 +90,48 @@ def advanced(
         fitted = fit_near(network.metadata.category, sample, _colors(frame, sample), prior, watch)
         if not isinstance(fitted, str):
             return Advanced(with_fit(track, fitted, frame.camera, time_s), fitted.pose, region)
-    output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
-    watch.stage("network")
-    seen = _Seen(network, track, frame, time_s, region, sample, output, prior, watch)
+    seen = _look(network, track, frame, time_s, region, sample, prior, watch)
     if due and deadline.allows(search_s):
         return _checked(seen)
     near = seen.near()
     if trust(near) >= KEEP_TRUST:
-        return seen.kept(near, searched=False)
+        kept = seen.kept(near, searched=False)
+        again = _where_it_is(seen, kept) if deadline.allows(search_s) else None
+        return kept if again is None else again
     if not deadline.allows(search_s):
         return _missed(track, region, "the track is in doubt, and there was no time for a full search", network=True)
     return _checked(seen, near)
+
+
+def _where_it_is(seen: _Seen, kept: Advanced) -> Advanced | None:
+    """A second look where the first one found the object to be; None where the first saw enough of it, or the second
+    recognises nothing. A network that saw half an object is sure of poses that are slid along it."""
+    prior = prior_of(kept.track, seen.frame.camera, seen.time_s)
+    region = expected_region(prior, seen.network.metadata.category, seen.frame.camera)
+    if region is None or covered(region, seen.region) >= _ENOUGH:
+        return None
+    sample = sample_for(seen.network.metadata, seen.frame, region, depth_m=prior.depth_m)
+    seen.watch.stage("sampling")
+    if isinstance(sample, str):
+        return None
+    again = _look(seen.network, seen.track, seen.frame, seen.time_s, region, sample, prior, seen.watch)
+    near = again.near()
+    return again.kept(near, searched=False) if trust(near) >= KEEP_TRUST else None
+
+
+def _look(
+    network: Network,
+    track: Track,
+    frame: RgbdFrame,
+    time_s: float,
+    region: Region,
+    sample: RegionSample,
+    prior: Prior,
+    watch: Stopwatch,
+) -> _Seen:
+    output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+    watch.stage("network")
+    return _Seen(network, track, frame, time_s, region, sample, output, prior, watch)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -45,8 +45,15 @@ class OwnRegions:
 
 def overlap(one: Region, other: Region) -> float:
     """Area that two regions share, over the smaller one's: 1 where one lies in the other."""
+    return _shared(one, other) / min(one[2] * one[3], other[2] * other[3])
+
+
+def covered(region: Region, by: Region) -> float:
+    """The share of `region` that lies in `by`."""
+    return _shared(region, by) / (region[2] * region[3])
+
+
+def _shared(one: Region, other: Region) -> int:
     width = min(one[0] + one[2], other[0] + other[2]) - max(one[0], other[0])
     height = min(one[1] + one[3], other[1] + other[3]) - max(one[1], other[1])
-    if width <= 0 or height <= 0:
-        return 0.0
-    return width * height / min(one[2] * one[3], other[2] * other[3])
+    return max(width, 0) * max(height, 0)

@@ -54,8 +54,8 @@ class Observation:
 class Track:
     """One object. number: its own, never given twice. parts, joints: in the category's order. background_world: (m,3)
     m. time_s: of its last frame. fits: frames by depth alone since the network's last. checked_s: when a full search
-    last agreed. missed: frames in a row without it. doubts: full searches in a row that found it otherwise. steady: whether
-    it moved as foreseen when the network last saw it."""
+    last agreed. missed: frames in a row without it. doubts: full searches in a row that found it otherwise. steady:
+    whether it moved as foreseen when the network last saw it."""
 
     number: int
     parts: tuple[TrackedPart | None, ...]
