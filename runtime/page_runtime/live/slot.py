@@ -55,6 +55,7 @@ class FrameSlot:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._finished or self._closing)
             if self._waiting is not None and not self._closing:
+                self._abandon()
                 received, self._waiting, self._taken = self._waiting, None, True
                 self._changed.notify_all()
                 return received
@@ -106,9 +107,13 @@ class FrameSlot:
             if self._waiting is not None:
                 self._waiting = None
                 self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
-            if self._taken:
-                self._taken = False
-                self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
+            self._abandon()
+
+    def _abandon(self) -> None:
+        """Count a frame that was taken and never answered as dropped."""
+        if self._taken:
+            self._taken = False
+            self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
 
     def _capture(self) -> None:
         try:

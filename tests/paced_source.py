@@ -1,0 +1,61 @@
+"""Frames at an even pace, as a camera gives them, and a follower that takes its time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from page_runtime.camera import Camera
+from page_runtime.frame import RgbdFrame
+from page_runtime.live.deadline import Deadline
+from page_runtime.live.loop import Followed
+from page_runtime.recorded import RecordedFrame
+
+WIDTH, HEIGHT = 64, 48
+CAMERA = Camera(np.array([[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]), WIDTH, HEIGHT)
+
+
+def numbered_frame(number: int, period_s: float = 1 / 30) -> RecordedFrame:
+    color = np.full((HEIGHT, WIDTH, 3), number % 251, np.uint8)
+    depth_m = np.full((HEIGHT, WIDTH), 1.0, np.float32)
+    return RecordedFrame(RgbdFrame(color, depth_m, CAMERA, number * period_s, number))
+
+
+class PacedSource:
+    """So many frames, `period_s` apart on a clock that does not wait; sent_s: when each was given."""
+
+    def __init__(self, frames: int, period_s: float, *, error: Exception | None = None) -> None:
+        self.frames, self.period_s, self.error = frames, period_s, error
+        self.sent_s: list[float] = []
+        self.stopped = threading.Event()
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+    def __iter__(self) -> Iterator[RecordedFrame]:
+        began_s = time.monotonic()
+        for number in range(self.frames):
+            self.stopped.wait(max(0.0, began_s + number * self.period_s - time.monotonic()))
+            if self.stopped.is_set():
+                return
+            self.sent_s.append(time.monotonic())
+            yield numbered_frame(number, self.period_s)
+        if self.error is not None:
+            raise self.error
+
+
+class Idle:
+    """A follower that finds nothing and takes `busy_s` for it; taken: the frames it was given, and when."""
+
+    def __init__(self, busy_s: float = 0.0) -> None:
+        self.busy_s = busy_s
+        self.taken: list[tuple[int, float]] = []
+
+    def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
+        del deadline
+        self.taken.append((recorded.frame.index, time.monotonic()))
+        time.sleep(self.busy_s)
+        return Followed((), "searching")
