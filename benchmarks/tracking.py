@@ -198,10 +198,11 @@ def readable(document: dict[str, Any]) -> str:
                     )
                 )
         after = figures["after_hidden"]
+        right = 100 * (after["right_share_of_next_60"] or 0)
         notes += (
             f"{category}: a frame takes {100 * figures['p50_ratio']:.0f} % of the search's time in the median; hidden "
             f"for ten frames: {after['claimed_while_hidden']} poses claimed meanwhile, right again after "
-            f"{after['frames_until_right']} frames, then in {100 * (after['right_share_of_next_60'] or 0):.0f} % of 60\n"
+            f"{after['frames_until_right']} frames, then in {right:.0f} % of 60\n"
         )
     return f"{table(header, rows)}{notes}{document['threads']} threads, {document['cpu']}\n"
 

@@ -44,6 +44,7 @@ _FIT_ROUNDS = (160, 160, 256)
 _REACH_M = 0.02
 # More points than this share beyond that, or of another colour (levels of 255), and the object is elsewhere.
 _MOST_STRANGE = 0.1
+_SPACINGS = 4.0
 _OTHER_COLOR = 50
 _MOST_REPAINTED = 0.3
 # Of the points that a part had when the network last saw it: with fewer something is before it, or it has turned away.
@@ -153,9 +154,11 @@ def _members(
     queries = points_camera - center_camera
     index = nearest(queries, reference, 1)[:, 0]
     away = queries - reference[index]
-    near = np.einsum("nk,nk->n", away, away) <= _REACH_M**2
+    distance_m = np.sqrt(np.einsum("nk,nk->n", away, away))
+    near = distance_m <= _REACH_M
     of_part = near & (owner[index] < len(prior.parts))
-    strange = 1.0 - float(near.mean())
+    # A background far away has few points, far from each other.
+    strange = float(np.mean(distance_m > max(_REACH_M, _SPACINGS * float(np.median(distance_m)))))
     change = np.abs(np.concatenate(painted)[index[of_part]].astype(np.int16) - colors[of_part]).max(axis=1)
     repainted = float(np.mean(change > _OTHER_COLOR)) if len(change) else 0.0
     doubt = ""

@@ -23,6 +23,11 @@ from page_runtime.similarity import FloatArray
 # An object has one size: an estimate of it counts as one of at most so many.
 _MOST_SIZES = 60
 _SCALE_SIGMA = 0.01
+# What the network's poses tremble by from frame to frame is twice what their covariances say, in standard deviations.
+_MEASURED_INFLATION = 4.0
+# Beyond this from where it was foreseen a part is not fitted to depth alone: rad, and its diagonals.
+_FAR_RAD = 0.25
+_FAR_SHARE = 0.1
 # A part that was not seen for so long is forgotten.
 _FORGOTTEN_S = 1.0
 
@@ -100,7 +105,7 @@ def with_observation(track: Track, observed: Observation, camera: Camera, time_s
         track,
         parts=parts,
         steady=not any(
-            _surprising(before, part, T_world_camera, time_s)
+            _strayed(before, part, T_world_camera, time_s)
             for before, part in zip(track.parts, observed.pose.parts, strict=True)
         ),
         joints=_joints(track, observed.pose.joints, time_s),
@@ -163,7 +168,7 @@ def _observed(
     if isinstance(part, NotSeen) or surface is None:
         return None if before is None or time_s - before.seen_s > _FORGOTTEN_S else before
     T_world_part = T_world_camera @ part.T_camera_part
-    covariance = _turned(part.covariance, T_world_camera[:3, :3])
+    covariance = _MEASURED_INFLATION * _turned(part.covariance, T_world_camera[:3, :3])
     if before is None:
         return TrackedPart(motions.started(T_world_part, covariance, time_s), part.extents_m, 1, part, surface, time_s)
     now = motions.predicted(before.motion, max(time_s, before.motion.time_s))
@@ -172,13 +177,14 @@ def _observed(
     return TrackedPart(motions.measured(now, T_world_part, covariance), extents_m, count, part, surface, time_s)
 
 
-def _surprising(before: TrackedPart | None, part: PartPose | NotSeen, T_world_camera: Array, time_s: float) -> bool:
-    """Whether a part is not where it was foreseen to be."""
+def _strayed(before: TrackedPart | None, part: PartPose | NotSeen, T_world_camera: Array, time_s: float) -> bool:
+    """Whether a part is so far from where it was foreseen that depth alone would not have found it."""
     if before is None or isinstance(part, NotSeen):
         return False
     now = motions.predicted(before.motion, max(time_s, before.motion.time_s))
-    covariance = _turned(part.covariance, T_world_camera[:3, :3])
-    return motions.surprise(now, T_world_camera @ part.T_camera_part, covariance) > motions.SURPRISE
+    step = motions.step_between(now.T_a_part, T_world_camera @ part.T_camera_part)
+    far_m = _FAR_SHARE * float(np.linalg.norm(before.extents_m))
+    return bool(np.linalg.norm(step[:3]) > _FAR_RAD or np.linalg.norm(step[3:]) > far_m)
 
 
 def _settled(part: TrackedPart, evidence: PartEvidence, T_world_camera: Array, time_s: float) -> TrackedPart:
