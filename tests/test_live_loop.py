@@ -10,10 +10,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from benchmarks.paced import Idle, PacedSource, numbered_frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from paced_source import Idle, PacedSource, numbered_frame
 from page_runtime.image_files import SourceError
 from page_runtime.live.loop import LiveLoop
 from page_runtime.live.result import LiveResult, LoopCounts
@@ -143,3 +143,13 @@ def test_thousands_of_frames_leave_neither_threads_nor_descriptors_nor_memory_be
     assert last[1:] == (descriptors, threads)
     # Allocators keep some pages; 6,000 kept frames would be 120 MB.
     assert last[0] - rss < 8e6
+
+
+def test_a_short_soak_counts_every_frame_and_keeps_its_descriptors_and_threads() -> None:
+    from benchmarks.soak import soaked
+
+    figures = soaked(200, 0.005, 0.02, quiet=True)
+    assert figures["sent"] == figures["received"] == figures["processed"] + figures["dropped"] == 200
+    assert figures["waiting"] == 0
+    assert len(figures["descriptors"]) == 1
+    assert figures["threads"][-1] - figures["threads"][0] <= 1

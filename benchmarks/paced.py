@@ -14,21 +14,24 @@ from page_runtime.live.deadline import Deadline
 from page_runtime.live.loop import Followed
 from page_runtime.recorded import RecordedFrame
 
-WIDTH, HEIGHT = 64, 48
-CAMERA = Camera(np.array([[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]), WIDTH, HEIGHT)
+Size = tuple[int, int]
+SMALL: Size = (64, 48)
 
 
-def numbered_frame(number: int, period_s: float = 1 / 30) -> RecordedFrame:
-    color = np.full((HEIGHT, WIDTH, 3), number % 251, np.uint8)
-    depth_m = np.full((HEIGHT, WIDTH), 1.0, np.float32)
-    return RecordedFrame(RgbdFrame(color, depth_m, CAMERA, number * period_s, number))
+def numbered_frame(number: int, period_s: float = 1 / 30, *, size: Size = SMALL) -> RecordedFrame:
+    """A frame of `size` (width, height) px whose colour is its number modulo 251."""
+    width, height = size
+    K = np.array([[float(width), 0, (width - 1) / 2], [0, float(width), (height - 1) / 2], [0, 0, 1]])
+    color = np.full((height, width, 3), number % 251, np.uint8)
+    depth_m = np.full((height, width), 1.0, np.float32)
+    return RecordedFrame(RgbdFrame(color, depth_m, Camera(K, width, height), number * period_s, number))
 
 
 class PacedSource:
     """So many frames, `period_s` apart on a clock that does not wait; sent_s: when each was given."""
 
-    def __init__(self, frames: int, period_s: float, *, error: Exception | None = None) -> None:
-        self.frames, self.period_s, self.error = frames, period_s, error
+    def __init__(self, frames: int, period_s: float, *, size: Size = SMALL, error: Exception | None = None) -> None:
+        self.frames, self.period_s, self.size, self.error = frames, period_s, size, error
         self.sent_s: list[float] = []
         self.stopped = threading.Event()
 
@@ -42,7 +45,7 @@ class PacedSource:
             if self.stopped.is_set():
                 return
             self.sent_s.append(time.monotonic())
-            yield numbered_frame(number, self.period_s)
+            yield numbered_frame(number, self.period_s, size=self.size)
         if self.error is not None:
             raise self.error
 
