@@ -11,9 +11,9 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
@@ -81,7 +81,8 @@ def sequence(
         if not path.exists():
             stage = stage or _stage(category, seed)
             partial = path.with_suffix(".partial.npz")
-            np.savez_compressed(partial, **_rendered(stage, index))
+            rendered: dict[str, Any] = _rendered(stage, index)
+            np.savez_compressed(partial, **rendered)
             partial.replace(path)
             on_frame()
         yield _recorded(category, path, index)
@@ -143,7 +144,7 @@ def _placed(stage: _Stage, index: int) -> tuple[list[Mesh], list[int], list[Arra
         for part, pose in zip(stage.model.parts, poses, strict=True)
     )
     rise = transform_from(np.eye(3), np.array([0.0, 0.0, 1e-4 - lowest + stage.rest_height_m]))
-    poses = [rise @ pose for pose in poses]
+    poses: list[Array] = [rise @ pose for pose in poses]
     meshes = [moved(part.mesh, pose) for part, pose in zip(stage.model.parts, poses, strict=True)]
     labels = list(range(1, len(meshes) + 1))
     for part, mesh in stage.model.loose:
@@ -152,7 +153,7 @@ def _placed(stage: _Stage, index: int) -> tuple[list[Mesh], list[int], list[Arra
     return meshes, labels, poses
 
 
-def _rendered(stage: _Stage, index: int) -> dict[str, NDArray[np.generic]]:
+def _rendered(stage: _Stage, index: int) -> dict[str, Any]:
     meshes, labels, poses = _placed(stage, index)
     everything, everywhere = [*meshes, *stage.others], [*labels, *[0] * len(stage.others)]
     if index in HIDDEN:

@@ -146,7 +146,6 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
     common(run)
-    run.set_defaults(looks=None)
     live = command("live", "find objects, follow them, and write one JSON line for every frame", "source", source_help)
     limited(live)
     where = live.add_mutually_exclusive_group()

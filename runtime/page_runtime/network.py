@@ -82,6 +82,8 @@ class Network:
     def __init__(self, path: Path | str, *, threads: int = 0) -> None:
         """Load a bundle; threads 0 leaves the number to onnxruntime. Raises BundleError with the reason."""
         self.path = Path(path)
+        if not self.path.is_file():
+            raise BundleError(f"bundle: no file {self.path}; expected an .onnx file made by page-export")
         try:
             self.session = open_session(self.path, threads=threads, disabled_optimizers=_SLOWER)
         except BundleError as error:

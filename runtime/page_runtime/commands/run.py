@@ -9,7 +9,6 @@ from page_runtime.commands.live import live
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, text_output
 from page_runtime.commands.sources import frames_of, is_live, opened, total_of
 from page_runtime.commands.terminal import Progress
-from page_runtime.estimator import MAX_LOOKS
 from page_runtime.overlay import draw
 from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
@@ -26,7 +25,7 @@ def run(
     frames: int,
     window_s: float,
     threads: int,
-    looks: int | None,
+    looks: int,
     quiet: bool,
 ) -> None:
     """Estimate every frame of `source`, or so many, and write the lines to `out` (None: standard output).
@@ -50,11 +49,10 @@ def run(
             frames=frames,
             window_s=window_s,
             threads=threads,
-            looks=1 if looks is None else looks,
+            looks=looks,
             quiet=quiet,
         )
         return
-    looks = MAX_LOOKS if looks is None else looks
     network, threads = load_network(bundle, threads=threads, looks=looks)
     require_file_place(out, option="--out")
     require_folder_place(overlay, option="--overlay")
