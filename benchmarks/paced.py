@@ -32,7 +32,9 @@ class PacedSource:
 
     def __init__(self, frames: int, period_s: float, *, size: Size = SMALL, error: Exception | None = None) -> None:
         self.frames, self.period_s, self.size, self.error = frames, period_s, size, error
-        self.sent_s: list[float] = []
+        # Filled from the start, that a soak measures the loop's memory and not this.
+        self.sent_s = np.full(frames, np.nan)
+        self.sent = 0
         self.stopped = threading.Event()
 
     def stop(self) -> None:
@@ -44,21 +46,22 @@ class PacedSource:
             self.stopped.wait(max(0.0, began_s + number * self.period_s - time.monotonic()))
             if self.stopped.is_set():
                 return
-            self.sent_s.append(time.monotonic())
+            self.sent_s[number], self.sent = time.monotonic(), number + 1
             yield numbered_frame(number, self.period_s, size=self.size)
         if self.error is not None:
             raise self.error
 
 
 class Idle:
-    """A follower that finds nothing and takes `busy_s` for it; taken: the frames it was given, and when."""
+    """A follower that finds nothing and takes `busy_s` for it; taken_s: of every frame when it was given, NaN for one that
+    was not."""
 
-    def __init__(self, busy_s: float = 0.0) -> None:
+    def __init__(self, busy_s: float = 0.0, *, frames: int = 10_000) -> None:
         self.busy_s = busy_s
-        self.taken: list[tuple[int, float]] = []
+        self.taken_s = np.full(frames, np.nan)
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
         del deadline
-        self.taken.append((recorded.frame.index, time.monotonic()))
+        self.taken_s[recorded.frame.index] = time.monotonic()
         time.sleep(self.busy_s)
         return Followed((), "searching")

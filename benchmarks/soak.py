@@ -53,38 +53,36 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
     from benchmarks.paced import Idle, PacedSource
 
     process = psutil.Process()
-    source, follower = PacedSource(frames, period_s, size=SIZE), Idle(busy_s)
-    latencies_ms: list[float] = []
-    # Seconds, bytes, descriptors, threads.
-    samples: list[tuple[float, int, int, int]] = []
+    source, follower = PacedSource(frames, period_s, size=SIZE), Idle(busy_s, frames=frames)
+    # Seconds, bytes, descriptors, threads, ms; filled from the start, or they would be what grows.
+    samples, count = np.full((frames, 5), np.nan), 0
     began_s = time.monotonic()
     with LiveLoop(source, follower) as loop, Progress("soak", frames, quiet=quiet) as progress:
         for result in loop:
             counts = result.counts
             if counts.received != counts.processed + counts.dropped + counts.waiting:
                 raise ValueError(f"counters: expected received = processed + dropped + waiting, got {counts}")
-            latencies_ms.append(result.latency_ms)
-            now_s = time.monotonic() - began_s
-            samples.append((now_s, process.memory_info().rss, process.num_fds(), threading.active_count()))
+            now_s, rss = time.monotonic() - began_s, process.memory_info().rss
+            samples[count] = now_s, rss, process.num_fds(), threading.active_count(), result.latency_ms
+            count += 1
             while progress.done < counts.received:
                 progress.advance()
-    sent_s = np.array(source.sent_s)
-    ages_s = np.array([taken_s - sent_s[index] for index, taken_s in follower.taken])
-    quarter = max(1, len(latencies_ms) // 4)
-    first, last = (float(np.percentile(part, 99)) for part in (latencies_ms[:quarter], latencies_ms[-quarter:]))
+    ages_s = follower.taken_s - source.sent_s
+    quarter, rows = max(1, count // 4), samples[:count]
+    first, last = (float(np.percentile(part[:, 4], 99)) for part in (rows[:quarter], rows[-quarter:]))
     # The interpreter and the allocators settle in the first quarter.
-    rows = np.array(samples)[quarter:]
+    rows = rows[quarter:]
     slope = float(np.polyfit(rows[:, 0], rows[:, 1], 1)[0]) * 3600 / 1e6
     return {
         "frames": frames,
         "period_ms": round(1e3 * period_s, 2),
         "busy_ms": round(1e3 * busy_s, 2),
-        "sent": len(sent_s),
+        "sent": source.sent,
         "received": loop.counts.received,
         "processed": loop.counts.processed,
         "dropped": loop.counts.dropped,
         "waiting": loop.counts.waiting,
-        "most_age_when_taken_ms": round(1e3 * float(ages_s.max()), 2),
+        "most_age_when_taken_ms": round(1e3 * float(np.nanmax(ages_s)), 2),
         "p99_latency_first_quarter_ms": round(first, 2),
         "p99_latency_last_quarter_ms": round(last, 2),
         "rss_mb": round(float(rows[-1, 1]) / 1e6, 2),

@@ -33,14 +33,15 @@ def test_a_slow_consumer_gets_the_newest_frame_each_time_and_every_other_one_is_
             assert balanced(result.counts)
             results.append(result)
     counts = loop.counts
-    assert counts.received == len(source.sent_s) == 60
+    assert counts.received == source.sent == 60
     assert counts.processed == len(results) < 60
     assert counts.waiting == 0
     assert balanced(counts)
     indices = [result.frame.index for result in results]
     assert indices == sorted(set(indices))
     # Whenever a frame was taken, no newer one had been given to the loop: its index is that of the last one sent.
-    for index, taken_s in follower.taken:
+    for index in indices:
+        taken_s = follower.taken_s[index]
         newer = [k for k, sent_s in enumerate(source.sent_s) if index < k and sent_s < taken_s - 0.02]
         assert not newer
 
