@@ -53,7 +53,7 @@ class PacedSource:
 
 
 class Idle:
-    """A follower that finds nothing and takes `busy_s` for it; taken_s: of every frame when it was given, NaN for one that
+    """A follower that finds nothing and takes `busy_s` for it; taken_s: when each frame was given, NaN for one that
     was not."""
 
     def __init__(self, busy_s: float = 0.0, *, frames: int = 10_000) -> None:
