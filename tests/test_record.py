@@ -175,9 +175,12 @@ def test_commands_that_need_a_recording_refuse_a_camera(arguments: list[str], or
     assert "expected a recording, got the camera 'oak'" in capsys.readouterr().err
 
 
-def test_run_with_a_camera_needs_a_region_and_says_so_before_it_looks_for_one(oracle_bundle: Path, capsys) -> None:
-    assert main(["run", "oak", "--bundle", str(oracle_bundle)]) == 2
-    assert "pass --region" in capsys.readouterr().err
+def test_run_and_live_with_a_camera_need_no_region_but_a_camera(oracle_bundle: Path, capsys) -> None:
+    for command in ("run", "live"):
+        assert main([command, "oak", "--bundle", str(oracle_bundle)]) == EXIT_NO_CAMERA
+        assert "no OAK camera found" in capsys.readouterr().err
+    assert main(["live", "oak", "--bundle", str(oracle_bundle), "--mask", "."]) == 2
+    assert "--mask: the frames of oak are not known before they come" in capsys.readouterr().err
 
 
 def test_a_folder_called_oak_can_still_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

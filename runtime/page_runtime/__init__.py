@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from page_runtime.estimator import estimate
     from page_runtime.frame import RgbdFrame
     from page_runtime.image_files import SourceError
+    from page_runtime.live.loop import LiveLoop
+    from page_runtime.live.result import LiveObject, LiveResult, LoopCounts
+    from page_runtime.live.start import live_results
     from page_runtime.network import Network
     from page_runtime.overlay import draw
     from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
@@ -36,6 +39,10 @@ _MODULE_OF_NAME = {
     "Category": "category",
     "Instance": "recorded",
     "Joint": "category",
+    "LiveLoop": "live.loop",
+    "LiveObject": "live.result",
+    "LiveResult": "live.result",
+    "LoopCounts": "live.result",
     "Network": "network",
     "NotSeen": "pose",
     "Part": "category",
@@ -49,6 +56,7 @@ _MODULE_OF_NAME = {
     "SourceError": "image_files",
     "draw": "overlay",
     "estimate": "estimator",
+    "live_results": "live.start",
     "open_source": "capture.playback",
     "pose_record": "schema",
 }
@@ -61,6 +69,10 @@ __all__ = [
     "Category",
     "Instance",
     "Joint",
+    "LiveLoop",
+    "LiveObject",
+    "LiveResult",
+    "LoopCounts",
     "Network",
     "NotSeen",
     "Part",
@@ -74,6 +86,7 @@ __all__ = [
     "SourceError",
     "draw",
     "estimate",
+    "live_results",
     "open_source",
     "pose_record",
 ]

@@ -21,6 +21,7 @@ from page_runtime.commands.usage import UsageError
 
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
+EXIT_SOURCE_LOST = 4
 EXIT_INTERRUPTED = 130
 # Commands that share a module with another.
 MODULES = {"convert": "record"}
@@ -34,8 +35,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 130
-    interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 4 a camera that
+    was lost, 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -59,12 +60,15 @@ def _call(command: str, options: dict[str, object]) -> int:
 
     from page_runtime.bundle import BundleError
     from page_runtime.capture.frame_service import DeviceUnavailable
+    from page_runtime.capture.supervision import SourceLost
     from page_runtime.image_files import SourceError
 
     try:
         getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
     except DeviceUnavailable as error:
         return _refuse(error, code=EXIT_NO_CAMERA)
+    except SourceLost as error:
+        return _refuse(error, code=EXIT_SOURCE_LOST)
     except (BundleError, SourceError) as error:
         return _refuse(error)
     except BrokenPipeError:
@@ -142,6 +146,31 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
     common(run)
+    live = command("live", "find objects, follow them, and write one JSON line for every frame", "source", source_help)
+    limited(live)
+    where = live.add_mutually_exclusive_group()
+    where_help = (
+        "where the one object is first seen, px, or auto: what stands out of table and walls (default: the source's "
+        "own regions, else auto)"
+    )
+    where.add_argument("--region", metavar="X,Y,W,H", type=_where, help=where_help)
+    where.add_argument("--mask", metavar="DIR", type=Path, help="a picture for each frame, 000012.png, objects not 0")
+    where.add_argument("--detector", metavar="FILE", type=Path, help="a detector or segmentation, .onnx of Ultralytics")
+    live.add_argument(
+        "--classes", metavar="A,B", type=_names, default=(), help="names or numbers of --detector's classes"
+    )
+    live.add_argument(
+        "--objects", metavar="N", type=_count, default=0, help="at most N objects at a time (default: all)"
+    )
+    track_help = "follow objects from frame to frame, filtered (default); --no-track: every frame by itself"
+    live.add_argument("--track", action=argparse.BooleanOptionalAction, default=True, help=track_help)
+    deadline_help = "leave out what would make a result later than MS after its frame, and count late ones"
+    live.add_argument("--deadline-ms", metavar="MS", type=_positive, help=deadline_help)
+    live.add_argument("--status", metavar="FILE", type=Path, help="keep state, counters and latency here, as JSON")
+    live.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
+    live.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
+    common(live)
+    live.set_defaults(looks=1)
     validate = command("validate", "compare with the truth of a recording", "recording", "a folder with true poses")
     validate.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
     validate.add_argument("--overlay", metavar="DIR", type=Path, help=f"{overlay_help}, and the true boxes")
@@ -186,6 +215,27 @@ def _region(text: str) -> tuple[int, int, int, int]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected four whole numbers x,y,w,h in pixels, got {text!r}") from None
     return x, y, width, height
+
+
+def _where(text: str) -> tuple[int, int, int, int] | str:
+    return text if text == "auto" else _region(text)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"expected names or numbers separated by commas, got {text!r}")
+    return names
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected milliseconds > 0, got {text!r}")
+    return value
 
 
 def _count(text: str) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import Network
+from page_runtime.network import Network, NetworkOutput
 from page_runtime.part_poses import members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
@@ -31,12 +31,27 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
     time of the first, so 1 is for loops whose time must not vary. Raises ValueError for a region outside the image.
     """
+    return examine(network, frame, region, max_looks=max_looks).pose
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Examined:
+    """An estimate, and what it was made of. sample, output: of the first look, also where a later one was likelier;
+    None where the region has too little depth."""
+
+    pose: ArticulatedPose
+    sample: RegionSample | None = None
+    output: NetworkOutput | None = None
+
+
+def examine(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> Examined:
+    """`estimate`, with the points of the region and what the network said of them."""
     metadata = network.metadata
     watch = Stopwatch()
     sample, depth_m = sample_for(metadata, frame, region), None
     watch.stage("sampling")
     if isinstance(sample, str):
-        return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
+        return Examined(replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms))
     output = network.run(sample, _neighbours(sample))
     watch.stage("network")
     if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
@@ -48,8 +63,9 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
             output = network.run(sample, _neighbours(sample))
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch)
+    first = sample, output
     if not metadata.mirrored or metadata.confidence is None:
-        return pose
+        return Examined(pose, *first)
     looks = 1
     for margin in OTHER_MARGINS[: max_looks - 1]:
         if not _unlikely(pose):
@@ -63,7 +79,7 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
             other = mirrored_pose(pose_from_output(metadata, again, output, watch), metadata.category)
             pose = max(pose, other, key=_mean_confidence)
             looks += 1
-    return replace(pose, looks=looks)
+    return Examined(replace(pose, looks=looks), *first)
 
 
 def _neighbours(sample: RegionSample) -> Neighbours:

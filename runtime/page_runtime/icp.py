@@ -14,6 +14,7 @@ the proportions. Points do not say where a plate is in its own plane; that none 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,8 +28,9 @@ from page_runtime.surface_pairs import Pairs, Placed, paired
 from page_runtime.template import Template
 
 _MIN_POINTS = 16
+SENSOR_SIGMA_M = 0.002
 # Points in each round: more to know where it starts and to settle than to get there. 400 in each were no better.
-_ROUNDS = (256, 160, 160, 160, 160, 160, 256)
+ROUNDS = (256, 160, 160, 160, 160, 160, 256)
 
 # Depth noise, the template's details and the network's cut of the part err over whole faces, so that 400 points are
 # evidence of far fewer. On 780 parts from the shipped bundles 20 to 40 was best; from 100 on, poses went beyond the
@@ -77,14 +79,15 @@ def refine_to_template(
     template: Template,
     *,
     extents_unit: NDArray[np.floating] | None = None,
-    sensor_sigma_m: float = 0.002,
+    sensor_sigma_m: float = SENSOR_SIGMA_M,
+    rounds: Sequence[int] = ROUNDS,
 ) -> IcpResult:
     """Refine the pose of one part by its visible points and the template of that part.
 
     points_camera: (N,3) m, seen from the origin; T_camera_part, scale_m: the pose and diagonal that the radii gave;
     covariance: (7,7) of `Registration`, or (6,6) when the scale is known, and honest: see `uncertainty`;
     extents_unit: (3,) proportions of the part's box, to which the template is stretched first, if they are known
-    better than the template's own; sensor_sigma_m: depth noise.
+    better than the template's own; sensor_sigma_m: depth noise; rounds: points in each.
 
     Each round pairs the points with the samples that face the camera and takes a Gauss-Newton step over rotation,
     translation, log scale and three log stretches. The result is accepted only if the points then fit better, the
@@ -109,7 +112,7 @@ def refine_to_template(
     unknowns, placed, before_m = np.zeros(10), Placed(prior, np.zeros(3)), np.inf
     posterior = information
     gate_m = _GATE * scale_m
-    for round_, count in enumerate(_ROUNDS):
+    for round_, count in enumerate(rounds):
         chosen = points[multilateration.thinned(len(points), count)]
         pairs = paired(chosen, placed, surface, gate_m)
         if pairs is None or len(pairs.residuals) < _MIN_POINTS:
@@ -121,7 +124,7 @@ def refine_to_template(
         unknowns = unknowns - step
         # Rotation vectors add up to second order in the angle; the prior keeps it to some degrees.
         placed = Placed(prior.moved(unknowns[None, :7]), unknowns[7:])
-    pairs = paired(points[multilateration.thinned(len(points), _ROUNDS[0])], placed, surface, gate_m)
+    pairs = paired(points[multilateration.thinned(len(points), rounds[0])], placed, surface, gate_m)
     after_m = np.inf if pairs is None or len(pairs.residuals) < _MIN_POINTS else _trimmed_rms(pairs)
 
     if not after_m < before_m:
@@ -132,7 +135,7 @@ def refine_to_template(
     if not surprise <= _PLAUSIBLE:
         reason = f"the change is implausible under the radii: chi-square {surprise:.1f}, expected <= {_PLAUSIBLE}"
         return kept(reason, before_m, after_m)
-    fit_m = max(_FIT_SIGMAS * sensor_sigma_m, _FIT_UNIT * scale_m)
+    fit_m = fit_limit_m(scale_m, sensor_sigma_m)
     if after_m > fit_m:
         reason = f"the template is of another shape: {1e3 * after_m:.1f} mm remain, expected <= {1e3 * fit_m:.1f} mm"
         return kept(reason, before_m, after_m)
@@ -147,6 +150,12 @@ def refine_to_template(
         residual_after_m=after_m,
         reason="",
     )
+
+
+def fit_limit_m(scale_m: float, sensor_sigma_m: float = SENSOR_SIGMA_M) -> float:
+    """Points of a part of this diagonal that are farther than this from its template, root mean square over those that
+    `IcpResult` counts, are of another shape."""
+    return max(_FIT_SIGMAS * sensor_sigma_m, _FIT_UNIT * scale_m)
 
 
 def _checked(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +50,32 @@ def feeds(metadata: BundleMetadata, sample: RegionSample, neighbours: Neighbours
     return {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
 
 
+def open_session(path: Path, *, threads: int, disabled_optimizers: Sequence[str] = ()) -> ort.InferenceSession:
+    """A session of an .onnx file on the processor; BundleError with the reason where there can be none."""
+    if not path.is_file():
+        raise BundleError(f"{path}: there is no such file; expected an .onnx file")
+    size = path.stat().st_size
+    if not 0 < size <= MAX_BUNDLE_BYTES:
+        raise BundleError(f"{path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {size}")
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    # Threads that spin while they wait take a core from the scorer, which runs between two calls.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return ort.InferenceSession(
+            path.read_bytes(),
+            options,
+            providers=["CPUExecutionProvider"],
+            disabled_optimizers=list(disabled_optimizers),
+        )
+    except Exception as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
+        reason = str(error).splitlines()[0]
+        raise BundleError(
+            f"{path}: onnxruntime cannot load it ({reason}); is it an exported, complete .onnx file?"
+        ) from error
+
+
 class Network:
     """A loaded bundle, ready to run."""
 
@@ -57,23 +84,10 @@ class Network:
         self.path = Path(path)
         if not self.path.is_file():
             raise BundleError(f"bundle: no file {self.path}; expected an .onnx file made by page-export")
-        size = self.path.stat().st_size
-        if not 0 < size <= MAX_BUNDLE_BYTES:
-            raise BundleError(f"bundle {self.path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {size}")
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.log_severity_level = 3
-        # Threads that spin while they wait take a core from the scorer, which runs between two calls.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            self.session = ort.InferenceSession(
-                self.path.read_bytes(), options, providers=["CPUExecutionProvider"], disabled_optimizers=_SLOWER
-            )
-        except Exception as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
-            reason = str(error).splitlines()[0]
-            raise BundleError(
-                f"bundle {self.path}: onnxruntime cannot load it ({reason}); is it an exported, complete .onnx file?"
-            ) from error
+            self.session = open_session(self.path, threads=threads, disabled_optimizers=_SLOWER)
+        except BundleError as error:
+            raise BundleError(f"bundle {error}") from error
         document = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if document is None:
             raise BundleError(

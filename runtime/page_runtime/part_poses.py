@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,18 +37,25 @@ def pose_from_output(
 ) -> ArticulatedPose:
     """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
     watch = watch or Stopwatch()
-    points = sample.points_camera[: sample.num_distinct][: len(output.part_logits)]
-    category = metadata.category
+    points = answered_points(sample, output)
     members = members_of(output, sample.num_distinct)
     votes = votes_of(members, points, output, metadata)
     watch.stage("scoring")
-    observed = [
-        _observed(part, index, points, members[index], votes.get(index), output)
-        for index, part in enumerate(category.parts)
-    ]
+    observed = observed_parts(metadata.category, points, members, votes, output)
     registered = iter(register_parts([one for one in observed if isinstance(one, Observed)]))
     registrations = [one if isinstance(one, str) else next(registered) for one in observed]
     watch.stage("registration")
+    return pose_from_registrations(metadata, observed, registrations, watch)
+
+
+def pose_from_registrations(
+    metadata: BundleMetadata,
+    observed: Sequence[Observed | str],
+    registrations: Sequence[Registration | Ambiguous | str],
+    watch: Stopwatch,
+) -> ArticulatedPose:
+    """From each part's own pose, or the reason why it has none, to the object: the template, the joints, confidence."""
+    category = metadata.category
     found = [
         _found(part, one, registration)
         for part, one, registration in zip(category.parts, observed, registrations, strict=True)
@@ -81,6 +88,11 @@ class _Found:
     num_points: int
 
 
+def answered_points(sample: RegionSample, output: NetworkOutput) -> NDArray[np.float32]:
+    """(A,3) m: the points of the sample that the network answered for, none twice."""
+    return sample.points_camera[: sample.num_distinct][: len(output.part_logits)]
+
+
 def members_of(output: NetworkOutput, num_distinct: int) -> list[NDArray[np.intp]]:
     """For each part the indices of its points among the first `num_distinct`."""
     labels = output.part_logits[:num_distinct].argmax(axis=1)
@@ -110,6 +122,20 @@ def votes_of(
         full_share=FULL_SHARE,
     )
     return dict(zip(seen, votes, strict=True))
+
+
+def observed_parts(
+    category: Category,
+    points_camera: NDArray[np.float32],
+    members: Sequence[NDArray[np.intp]],
+    votes: Mapping[int, tuple[KeypointVotes, ...]],
+    output: NetworkOutput,
+) -> list[Observed | str]:
+    """What is known of every part before its pose, or the reason why there can be none."""
+    return [
+        _observed(part, index, points_camera, members[index], votes.get(index), output)
+        for index, part in enumerate(category.parts)
+    ]
 
 
 def _observed(

@@ -36,6 +36,8 @@ _DISTINCT = 0.25
 _BOX_MARGIN = 0.08
 _COARSE_GATES = (0.2, 0.12, 0.08, 0.08)
 _FINE_GATES = (0.08, 0.08, 0.08)
+# From the last frame's pose: what an object does in a tenth of a second.
+_NEAR_GATES = (0.12, 0.08, 0.08, 0.08)
 # Smallest over middle standard deviation of the points, below which the principal normal is the surface's.
 _PLANAR = 0.2
 
@@ -143,6 +145,26 @@ def register_parts(parts: Sequence[Observed]) -> list[Registration | Ambiguous |
     fine = refined(kept, evidence, _FINE_GATES)
     for attempt, poses, (_, ratio) in zip(started, fine, ranked, strict=True):
         results[attempt.index] = _result(poses, attempt, ratio)
+    return results
+
+
+def register_near(
+    parts: Sequence[Observed], starts: Sequence[Similarities], runner_up_ratios: Sequence[float]
+) -> list[Registration | str]:
+    """Pose and scale of each part from a pose that is nearly right (starts, of one pose each), by step 3 of
+    `register_parts` alone; a part's runner_up_ratio is what is known of it from before. ValueError as there."""
+    checked = [_evidence(one) for one in parts]
+    usable = [(k, one) for k, one in enumerate(checked) if isinstance(one, Evidence)]
+    evidence = [one for _, one in usable]
+    fine = refined([starts[k] for k, _ in usable], evidence, _NEAR_GATES)
+    results: list[Registration | str] = [one if isinstance(one, str) else "" for one in checked]
+    for (k, one), pose in zip(usable, fine, strict=True):
+        low, high = parts[k].scale_range_m
+        results[k] = (
+            _registration(pose, one, runner_up_ratios[k])
+            if low <= pose.s[0] <= high
+            else f"the refined scale {pose.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
+        )
     return results
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from page_runtime.commands.inputs import Inputs, estimates, load_network, require_fitting, require_region
+from page_runtime.commands.live import live
 from page_runtime.commands.outputs import overlay_output, require_file_place, require_folder_place, text_output
 from page_runtime.commands.sources import frames_of, is_live, opened, total_of
 from page_runtime.commands.terminal import Progress
-from page_runtime.commands.usage import UsageError
 from page_runtime.overlay import draw
 from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
@@ -28,12 +28,34 @@ def run(
     looks: int,
     quiet: bool,
 ) -> None:
-    """Estimate every frame of `source`, or so many, and write the lines to `out` (None: standard output)."""
+    """Estimate every frame of `source`, or so many, and write the lines to `out` (None: standard output).
+
+    A camera is followed as by `page-runtime live` without its further options.
+    """
+    if is_live(source):
+        live(
+            source,
+            bundle=bundle,
+            region=region,
+            mask=None,
+            detector=None,
+            classes=(),
+            objects=0,
+            track=True,
+            deadline_ms=None,
+            status=None,
+            out=out,
+            overlay=overlay,
+            frames=frames,
+            window_s=window_s,
+            threads=threads,
+            looks=looks,
+            quiet=quiet,
+        )
+        return
     network, threads = load_network(bundle, threads=threads, looks=looks)
     require_file_place(out, option="--out")
     require_folder_place(overlay, option="--overlay")
-    if region is None and is_live(source):
-        raise UsageError(f"{source}: a camera does not say where the object is; pass --region x,y,w,h")
     with opened(source, window_s=window_s) as found:
         require_fitting(bundle, network, source, found)
         require_region(source, found, region)

@@ -16,6 +16,7 @@ from page_runtime.capture.oak import is_oak, open_oak
 from page_runtime.capture.playback import open_source
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.commands.usage import UsageError
+from page_runtime.live.slot import Stoppable
 from page_runtime.recorded import FrameSource, RecordedFrame, Source
 
 
@@ -62,21 +63,22 @@ def frames_of(source: FrameSource, limit: int) -> Iterator[RecordedFrame]:
     """At most `limit` frames, all for 0. For a camera Ctrl-C and SIGTERM are the usual end: whatever is being done with
     the frame of the moment is done, and the iteration ends; a second Ctrl-C interrupts."""
     if isinstance(source, SupervisedSource):
-        with _stopped_by_signals(source):
+        with stopped_by_signals(source):
             yield from islice(source, limit or None)
     else:
         yield from islice(source, limit or None)
 
 
 @contextmanager
-def _stopped_by_signals(source: SupervisedSource) -> Iterator[None]:
+def stopped_by_signals(running: Stoppable) -> Iterator[None]:
+    """Within the block the first Ctrl-C or SIGTERM asks `running` to stop; a second one interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def stop(number: int, _: object) -> None:
         signal.signal(number, before[number])
-        source.stop()
+        running.stop()
 
     before: dict[int, Any] = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -36,12 +36,15 @@ class LoopCounts:
 @dataclass(frozen=True, eq=False, slots=True)
 class LiveObject:
     """One object in one frame. number: the same as long as it is followed. region: (x,y,w,h) px it was cut out with.
-    pose: the answer, filtered where the loop filters. tracked: found from its last pose, not by a full search."""
+    pose: the answer, filtered where the loop filters. tracked: found from its last pose, not by a full search.
+    joint_rates: how fast each joint moves, rad/s or m/s, in the category's order; None for one without a state, empty
+    where nothing is followed."""
 
     number: int
     region: Region
     pose: ArticulatedPose
     tracked: bool
+    joint_rates: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

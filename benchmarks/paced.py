@@ -1,0 +1,67 @@
+"""Frames at an even pace, as a camera gives them, and a follower that takes its time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from page_runtime.camera import Camera
+from page_runtime.frame import RgbdFrame
+from page_runtime.live.deadline import Deadline
+from page_runtime.live.loop import Followed
+from page_runtime.recorded import RecordedFrame
+
+Size = tuple[int, int]
+SMALL: Size = (64, 48)
+
+
+def numbered_frame(number: int, period_s: float = 1 / 30, *, size: Size = SMALL) -> RecordedFrame:
+    """A frame of `size` (width, height) px whose colour is its number modulo 251."""
+    width, height = size
+    K = np.array([[float(width), 0, (width - 1) / 2], [0, float(width), (height - 1) / 2], [0, 0, 1]])
+    color = np.full((height, width, 3), number % 251, np.uint8)
+    depth_m = np.full((height, width), 1.0, np.float32)
+    return RecordedFrame(RgbdFrame(color, depth_m, Camera(K, width, height), number * period_s, number))
+
+
+class PacedSource:
+    """So many frames, `period_s` apart on a clock that does not wait; sent_s: when each was given."""
+
+    def __init__(self, frames: int, period_s: float, *, size: Size = SMALL, error: Exception | None = None) -> None:
+        self.frames, self.period_s, self.size, self.error = frames, period_s, size, error
+        # Filled from the start, that a soak measures the loop's memory and not this.
+        self.sent_s = np.full(frames, np.nan)
+        self.sent = 0
+        self.stopped = threading.Event()
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+    def __iter__(self) -> Iterator[RecordedFrame]:
+        began_s = time.monotonic()
+        for number in range(self.frames):
+            self.stopped.wait(max(0.0, began_s + number * self.period_s - time.monotonic()))
+            if self.stopped.is_set():
+                return
+            self.sent_s[number], self.sent = time.monotonic(), number + 1
+            yield numbered_frame(number, self.period_s, size=self.size)
+        if self.error is not None:
+            raise self.error
+
+
+class Idle:
+    """A follower that finds nothing and takes `busy_s` for it; taken_s: when each frame was given, NaN for one that
+    was not."""
+
+    def __init__(self, busy_s: float = 0.0, *, frames: int = 10_000) -> None:
+        self.busy_s = busy_s
+        self.taken_s = np.full(frames, np.nan)
+
+    def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
+        del deadline
+        self.taken_s[recorded.frame.index] = time.monotonic()
+        time.sleep(self.busy_s)
+        return Followed((), "searching")

@@ -1,0 +1,199 @@
+"""What becomes of one track in one frame: a fit to depth, the network near the expected pose, or a full search.
+
+Two frames in three are fitted to depth alone, a fraction of the network's time. Every third asks the network, starting
+from the expected pose: its calibrated confidence is the test that the track is still on the object. Where that fails,
+and every CHECK_S, the votes are searched as if nothing were known; a search that finds the object otherwise, and is
+surer than the track twice in a row, has the last word, so that no wrong pose keeps itself alive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.estimator import sample_for
+from page_runtime.frame import RgbdFrame
+from page_runtime.geometry import Array
+from page_runtime.live.deadline import Deadline
+from page_runtime.live.locate import covered
+from page_runtime.live.near import agreement, fit_near, pose_near
+from page_runtime.live.prior import Prior, expected_region, surfaces_of
+from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
+from page_runtime.neighbours import find_neighbours
+from page_runtime.network import Network, NetworkOutput
+from page_runtime.part_poses import answered_points, members_of, pose_from_output
+from page_runtime.pose import ArticulatedPose, PartPose
+from page_runtime.sampling import Region, RegionSample
+from page_runtime.stopwatch import Stopwatch
+
+FITS_BETWEEN = 2
+CHECK_S = 1.0
+# Mean confidence of the parts that have a pose: to go on with a track, and to begin one.
+KEEP_TRUST = 0.35
+START_TRUST = 0.5
+# Two poses of one object farther apart than this are not both right: rad, and a part's diagonals.
+SAME_ROTATION_RAD = float(np.radians(20.0))
+SAME_SHARE = 0.2
+_DOUBTS = 2
+# Of the region an object turns out to fill, the share that has to have been looked at.
+_ENOUGH = 0.8
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Advanced:
+    """track: after the frame. pose: what was found, unfiltered; None with a `reason` where nothing was. region: px.
+    searched: by a full search, or else from the expected pose. network: whether it was asked."""
+
+    track: Track
+    pose: ArticulatedPose | None
+    region: Region
+    searched: bool = False
+    network: bool = False
+    reason: str = ""
+
+
+def trust(pose: ArticulatedPose) -> float:
+    """In [0, 1]: mean confidence of the parts that have a pose, 0 where fewer than half do."""
+    known = [part.confidence for part in pose.parts if isinstance(part, PartPose)]
+    return float(np.mean(known)) if 2 * len(known) >= len(pose.parts) and known else 0.0
+
+
+def observation(frame: RgbdFrame, sample: RegionSample, output: NetworkOutput, pose: ArticulatedPose) -> Observation:
+    """What a track remembers of a pose and the points it was made of."""
+    points, colors = answered_points(sample, output), _colors(frame, sample)
+    surfaces, background = surfaces_of(pose, points, colors, members_of(output, sample.num_distinct))
+    return Observation(pose, surfaces, background)
+
+
+def _colors(frame: RgbdFrame, sample: RegionSample) -> NDArray[np.uint8]:
+    """(N,3) RGB of the sample's points."""
+    return frame.color.reshape(-1, 3)[sample.source_index]
+
+
+def advanced(
+    network: Network, track: Track, frame: RgbdFrame, time_s: float, deadline: Deadline, search_s: float
+) -> Advanced:
+    """The track one frame later. search_s: what a full search costs after the network's answer; it is put off where the
+    deadline does not allow it."""
+    prior, watch = prior_of(track, frame.camera, time_s), Stopwatch()
+    region = expected_region(prior, network.metadata.category, frame.camera)
+    if region is None:
+        return _missed(track, (0, 0, 0, 0), "it is expected outside the picture")
+    sample = sample_for(network.metadata, frame, region, depth_m=prior.depth_m)
+    watch.stage("sampling")
+    if isinstance(sample, str):
+        return _missed(track, region, sample)
+    due = time_s - track.checked_s >= CHECK_S or track.missed > 0 or track.doubts > 0
+    if track.fits < FITS_BETWEEN and track.steady and not due:
+        fitted = fit_near(network.metadata.category, sample, _colors(frame, sample), prior, watch)
+        if not isinstance(fitted, str):
+            return Advanced(with_fit(track, fitted, frame.camera, time_s), fitted.pose, region)
+    seen = _look(network, track, frame, time_s, region, sample, prior, watch)
+    if due and deadline.allows(search_s):
+        return _checked(seen)
+    near = seen.near()
+    if trust(near) >= KEEP_TRUST:
+        kept = seen.kept(near, searched=False)
+        again = _where_it_is(seen, kept) if deadline.allows(search_s) else None
+        return kept if again is None else again
+    if not deadline.allows(search_s):
+        return _missed(track, region, "the track is in doubt, and there was no time for a full search", network=True)
+    return _checked(seen, near)
+
+
+def _where_it_is(seen: _Seen, kept: Advanced) -> Advanced | None:
+    """A second look where the first one found the object to be; None where the first saw enough of it, or the second
+    recognises nothing. A network that saw half an object is sure of poses that are slid along it."""
+    prior = prior_of(kept.track, seen.frame.camera, seen.time_s)
+    region = expected_region(prior, seen.network.metadata.category, seen.frame.camera)
+    if region is None or covered(region, seen.region) >= _ENOUGH:
+        return None
+    sample = sample_for(seen.network.metadata, seen.frame, region, depth_m=prior.depth_m)
+    seen.watch.stage("sampling")
+    if isinstance(sample, str):
+        return None
+    again = _look(seen.network, seen.track, seen.frame, seen.time_s, region, sample, prior, seen.watch)
+    near = again.near()
+    return again.kept(near, searched=False) if trust(near) >= KEEP_TRUST else None
+
+
+def _look(
+    network: Network,
+    track: Track,
+    frame: RgbdFrame,
+    time_s: float,
+    region: Region,
+    sample: RegionSample,
+    prior: Prior,
+    watch: Stopwatch,
+) -> _Seen:
+    output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+    watch.stage("network")
+    return _Seen(network, track, frame, time_s, region, sample, output, prior, watch)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Seen:
+    """A track, and the network's answer for the frame after it."""
+
+    network: Network
+    track: Track
+    frame: RgbdFrame
+    time_s: float
+    region: Region
+    sample: RegionSample
+    output: NetworkOutput
+    prior: Prior
+    watch: Stopwatch
+
+    def near(self) -> ArticulatedPose:
+        return pose_near(self.network.metadata, self.sample, self.output, self.prior, self.watch)
+
+    def full(self) -> ArticulatedPose:
+        return pose_from_output(self.network.metadata, self.sample, self.output, self.watch)
+
+    def kept(self, pose: ArticulatedPose, *, searched: bool) -> Advanced:
+        """The track goes on with this pose."""
+        observed = observation(self.frame, self.sample, self.output, pose)
+        track = with_observation(self.track, observed, self.frame.camera, self.time_s)
+        return Advanced(track, pose, self.region, searched, network=True)
+
+    def restarted(self, pose: ArticulatedPose) -> Advanced:
+        """The object is elsewhere: what was known of its motion is forgotten."""
+        observed = observation(self.frame, self.sample, self.output, pose)
+        category = self.network.metadata.category
+        track = begun(self.track.number, category, observed, self.frame.camera, self.time_s)
+        return Advanced(track, pose, self.region, searched=True, network=True)
+
+
+def _checked(seen: _Seen, near: ArticulatedPose | None = None) -> Advanced:
+    """By a full search; near: from the expected pose, where that was tried before."""
+    track, full = seen.track, seen.full()
+    expected = [None if part is None else _as_pose(part.last, part.evidence.T_camera_part) for part in seen.prior.parts]
+    same = agreement(full.parts, expected, rotation_rad=SAME_ROTATION_RAD, share=SAME_SHARE)
+    if trust(full) >= KEEP_TRUST and same:
+        found = seen.kept(full, searched=True)
+        return replace(found, track=replace(found.track, checked_s=seen.time_s, doubts=0))
+    if trust(full) >= START_TRUST and track.missed:
+        # Nothing is known of where it went meanwhile.
+        return seen.restarted(full)
+    near = near or seen.near()
+    surer = trust(full) > max(trust(near), KEEP_TRUST)
+    if surer and track.doubts + 1 >= _DOUBTS:
+        return seen.restarted(full)
+    doubts = track.doubts + 1 if surer else 0
+    if trust(near) < KEEP_TRUST:
+        missed = _missed(track, seen.region, "the network does not recognise it here", network=True)
+        return replace(missed, track=replace(missed.track, doubts=doubts))
+    found = seen.kept(near, searched=False)
+    return replace(found, track=replace(found.track, checked_s=seen.time_s, doubts=doubts))
+
+
+def _as_pose(last: PartPose, T_camera_part: Array) -> PartPose:
+    return replace(last, T_camera_part=T_camera_part)
+
+
+def _missed(track: Track, region: Region, reason: str, *, network: bool = False) -> Advanced:
+    return Advanced(replace(track, missed=track.missed + 1), None, region, network=network, reason=reason)

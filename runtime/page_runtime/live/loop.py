@@ -1,0 +1,121 @@
+"""The bounded real-time loop: the newest frame in, its objects out, and never a backlog.
+
+    with live_results("oak" or a source, network) as results:
+        for result in results: ...
+
+A thread captures into a queue of one (`slot`); the frame is worked on by whoever asks for the next result. So while
+that one is busy, frames are passed over and counted, and the frame it gets next is at most one period old: the age of a
+result is at most a period and the time the frame took.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol
+
+from page_runtime.live.deadline import Deadline
+from page_runtime.live.result import LiveObject, LiveResult, LiveState, LoopCounts
+from page_runtime.live.slot import FrameSlot, Received
+from page_runtime.recorded import RecordedFrame
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Followed:
+    """What became of the objects in one frame. reason: why there is none. searched, tracked, lost: as in `LoopCounts`,
+    of this frame."""
+
+    objects: tuple[LiveObject, ...]
+    state: LiveState
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
+    searched: int = 0
+    tracked: int = 0
+    lost: int = 0
+
+
+class Follower(Protocol):
+    """Whoever finds the objects of one frame after the other, and remembers them."""
+
+    def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed: ...
+
+
+class LiveLoop:
+    """Results of `follower` for the frames of `source`, as they come: an iterator, to be closed (or used in `with`).
+
+    deadline_s: from the moment a frame was received; work that would not be done by then is left out where that is
+    possible, and a result after it is `late`. Iterating ends with the source or with `stop`; it raises what the source
+    raises (SourceError) and ValueError for a frame that cannot be used with these settings.
+    """
+
+    def __init__(
+        self,
+        source: Iterable[RecordedFrame],
+        follower: Follower,
+        *,
+        deadline_s: float | None = None,
+        name: str = "source",
+    ) -> None:
+        if deadline_s is not None and not deadline_s > 0.0:
+            raise ValueError(f"deadline_s: expected seconds > 0 or None, got {deadline_s}; None is no deadline")
+        self._follower, self._deadline_s = follower, deadline_s
+        self._slot = FrameSlot(source, name=name)
+
+    def __iter__(self) -> Iterator[LiveResult]:
+        return self
+
+    def __next__(self) -> LiveResult:
+        received = self._slot.take()
+        if received is None:
+            self.close()
+            raise StopIteration
+        return self._result(received)
+
+    def run(self, on_result: Callable[[LiveResult], None]) -> LoopCounts:
+        """Call `on_result` with every result until the source ends or `stop` is called, then close; the counters."""
+        with self:
+            for result in self:
+                on_result(result)
+        return self.counts
+
+    def stop(self) -> None:
+        """End the iteration after the result of the moment; does not wait, and may be called by a signal's handler."""
+        self._slot.stop()
+
+    def close(self) -> None:
+        """Stop, and give the thread back; a frame that waits counts as dropped."""
+        self._slot.close()
+
+    def __enter__(self) -> LiveLoop:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def counts(self) -> LoopCounts:
+        """received = processed + dropped + waiting, at any time."""
+        return self._slot.counts
+
+    def _result(self, received: Received) -> LiveResult:
+        deadline = Deadline(None if self._deadline_s is None else received.received_s + self._deadline_s)
+        followed = self._follower.follow(received.recorded, deadline)
+        late = deadline.passed
+        latency_ms = 1e3 * (time.monotonic() - received.received_s)
+        counts = self._slot.answered(
+            late=late, searched=followed.searched, tracked=followed.tracked, lost=followed.lost
+        )
+        return LiveResult(
+            frame=received.recorded.frame,
+            objects=followed.objects,
+            state=followed.state,
+            counts=counts,
+            latency_ms=latency_ms,
+            stage_ms=followed.stage_ms,
+            late=late,
+            reason=followed.reason,
+        )

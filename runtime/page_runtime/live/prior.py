@@ -1,0 +1,111 @@
+"""What the last frames say of the next one: poses with covariances, where to look, and what surface to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from page_runtime.articulation import PartEvidence
+from page_runtime.camera import Camera
+from page_runtime.category import Category
+from page_runtime.geometry import apply, invert
+from page_runtime.pose import ArticulatedPose, PartPose
+from page_runtime.sampling import Region
+
+# Surfaces that stick out of the picture count as far as this many of its sides.
+_FAR_SIDES = 2
+_LEAST_SIDE_PX = 8
+_NEAR_M = 0.05
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Surface:
+    """Visible points of a part: points (n,3) m in its frame, colors (n,3) uint8 RGB."""
+
+    points: NDArray[np.float32]
+    colors: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PartPrior:
+    """One part as it is expected. evidence: its pose, size and their covariance. last: its pose as the network last saw
+    it. surface: the points that made it, in the part's frame."""
+
+    evidence: PartEvidence
+    last: PartPose
+    surface: Surface
+
+    @property
+    def surface_camera(self) -> NDArray[np.float32]:
+        """(n,3) m, where these points are expected."""
+        return apply(self.evidence.T_camera_part, self.surface.points).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prior:
+    """An object as it is expected in a frame. parts: in the category's order, None for one that was not seen.
+    background_camera: (m,3) m, points around it that are not of it."""
+
+    parts: tuple[PartPrior | None, ...]
+    background_camera: NDArray[np.float32]
+
+    @property
+    def known(self) -> list[PartPrior]:
+        return [part for part in self.parts if part is not None]
+
+    @property
+    def depth_m(self) -> float:
+        """z of the object's middle."""
+        return float(np.mean([part.evidence.T_camera_part[2, 3] for part in self.known]))
+
+
+def expected_region(prior: Prior, category: Category, camera: Camera) -> Region | None:
+    """(x,y,w,h) px around the expected surfaces, as far as they are in the picture; None if they are not."""
+    surfaces = [_outline(part, index, category) for index, part in enumerate(prior.parts) if part is not None]
+    points = np.concatenate(surfaces)
+    if points[:, 2].min() < _NEAR_M:
+        return None
+    pixels = (points @ camera.K.T)[:, :2] / points[:, 2:]
+    size = np.array([camera.width, camera.height])
+    low, high = np.maximum(pixels.min(axis=0), 0.0), np.minimum(pixels.max(axis=0), size - 1.0)
+    if (high - low < _LEAST_SIDE_PX).any():
+        return None
+    x, y = np.floor(low).astype(int)
+    w, h = np.ceil(high - low).astype(int) + 1
+    return int(x), int(y), int(w), int(h)
+
+
+def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floating]:
+    """(n,3) m of the part's template where it is expected, or of its box without one."""
+    evidence, template = part.evidence, category.parts[index].template
+    half = 0.5 * evidence.extents_unit
+    unit = (
+        np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        if template is None or not len(template.points_unit)
+        else template.points_unit * (evidence.extents_unit / template.extents_unit)
+    )
+    return apply(evidence.T_camera_part, evidence.scale_m * unit)
+
+
+def surfaces_of(
+    pose: ArticulatedPose,
+    points_camera: NDArray[np.float32],
+    colors: NDArray[np.uint8],
+    members: Sequence[NDArray[np.intp]],
+) -> tuple[list[Surface | None], NDArray[np.float32]]:
+    """The surface of every part that has a pose, and the points (m,3) m that are of none. members: each part's rows of
+    points_camera (N,3) m and colors (N,3)."""
+    surfaces: list[Surface | None] = []
+    for part, own in zip(pose.parts, members, strict=True):
+        if isinstance(part, PartPose):
+            points = apply(invert(part.T_camera_part), points_camera[own])
+            surfaces.append(Surface(points.astype(np.float32), colors[own]))
+        else:
+            surfaces.append(None)
+    return surfaces, np.delete(points_camera, np.concatenate(members), axis=0)

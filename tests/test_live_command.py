@@ -1,0 +1,157 @@
+"""page-runtime live as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from page_runtime import open_source
+from page_runtime.cli import main
+from page_runtime.estimator import estimate
+from page_runtime.network import Network
+from page_runtime.pose import PartPose
+
+ROOT = Path(__file__).resolve().parents[1]
+BOXES = ROOT / "tests" / "data" / "box"
+BUNDLE = ROOT / "runtime" / "bundles" / "box.onnx"
+
+
+def lines_of(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_live_writes_a_line_a_frame_and_a_status_that_agrees_with_them(tmp_path: Path) -> None:
+    out, status, pictures = tmp_path / "o.jsonl", tmp_path / "s.json", tmp_path / "pictures"
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--status", str(status)]
+    assert main([*arguments, "--overlay", str(pictures), "--objects", "1", "--quiet"]) == 0
+    lines = lines_of(out)
+    indices = [entry.index for entry in open_source(BOXES).entries]
+    assert [line["frame"] for line in lines] == indices
+    document = json.loads(status.read_text())
+    assert document["running"] is False
+    assert document["counts"]["received"] == document["counts"]["processed"] == len(indices)
+    assert document["counts"] == lines[-1]["counts"]
+    assert document["state"] == lines[-1]["state"]
+    assert document["latency_ms"]["p50"] > 0
+    found = [line["objects"][0] for line in lines if line["objects"]]
+    assert found
+    assert {"number", "region", "tracked", "parts", "joints", "looks", "stage_ms"} == set(found[0])
+    assert all("rate" in joint for joint in found[0]["joints"])
+    assert all(line["reason"] for line in lines if not line["objects"])
+    assert len(list(pictures.iterdir())) == len(indices)
+
+
+def test_without_tracking_every_frame_is_what_estimate_says(tmp_path: Path) -> None:
+    out = tmp_path / "o.jsonl"
+    assert main(["live", str(BOXES), "--bundle", str(BUNDLE), "--no-track", "--out", str(out), "--frames", "2"]) == 0
+    network, source = Network(BUNDLE), open_source(BOXES)
+    for line, recorded in zip(lines_of(out), source, strict=False):
+        region = recorded.instances[0].region
+        assert region is not None
+        pose = estimate(network, recorded.frame, region, max_looks=1)
+        for part, expected in zip(line["objects"][0]["parts"], pose.parts, strict=True):
+            assert isinstance(expected, PartPose)
+            np.testing.assert_allclose(part["T_camera_part"], expected.T_camera_part, atol=1e-4)
+    assert len(lines_of(out)) == 2
+
+
+def test_masks_say_where_the_objects_are(tmp_path: Path) -> None:
+    out, masks = tmp_path / "o.jsonl", tmp_path / "masks"
+    masks.mkdir()
+    source = open_source(BOXES)
+    region = source.entries[0].instances[0].region
+    assert region is not None
+    x, y, w, h = region
+    mask = np.zeros((source.entries[0].camera.height, source.entries[0].camera.width), np.uint8)
+    mask[y : y + h, x : x + w] = 1
+    cv2.imwrite(str(masks / f"{source.entries[0].index:06d}.png"), mask)
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--mask", str(masks), "--no-track", "--frames", "2"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    first, second = lines_of(out)
+    assert first["objects"][0]["region"] == list(region)
+    assert second["objects"] == []
+    assert second["reason"]
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--region", "nowhere"], "expected four whole numbers"),
+        (["--region", "5000,10,20,20"], "lies outside"),
+        (["--region", "auto", "--mask", "m"], "not allowed with"),
+        (["--classes", "cup"], "expected with --detector"),
+        (["--detector", "none.onnx"], "there is no such file"),
+        (["--mask", "none"], "expected a folder of masks"),
+        (["--deadline-ms", "0"], "expected milliseconds > 0"),
+        (["--status", "none/status.json"], "no folder"),
+        (["--looks", "0"], "expected at least 1"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_a_sentence(
+    more: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "o.jsonl"
+    assert main(["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), *more]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: int, tmp_path: Path) -> None:
+    out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
+    code = (
+        "import sys, page_runtime.commands.sources as sources, page_runtime.cli as cli, itertools, dataclasses\n"
+        "import page_runtime.recorded as recorded\n"
+        "opened = sources.open_source\n"
+        "def endless(path, **more):\n"
+        "    source = opened(path, **more)\n"
+        "    return dataclasses.replace(source, entries=source.entries * 10000)\n"
+        "sources.open_source = endless\n"
+        f"sys.exit(cli.main(['live', {str(BOXES)!r}, '--bundle', {str(BUNDLE)!r}, '--status', {str(status)!r}]))\n"
+    )
+    with out.open("w") as file:
+        process = subprocess.Popen([sys.executable, "-c", code], stdout=file, stderr=subprocess.PIPE, env=os.environ)
+        began_s = time.monotonic()
+        while not (out.exists() and out.read_text().count("\n") >= 2):
+            assert process.poll() is None, process.stderr.read() if process.stderr else ""
+            assert time.monotonic() - began_s < 60.0
+            time.sleep(0.05)
+        process.send_signal(number)
+        process.wait(timeout=10.0)
+    assert process.returncode == 0
+    lines = lines_of(out)
+    document = json.loads(status.read_text())
+    assert document["running"] is False
+    assert document["counts"]["processed"] == len(lines)
+    counts = document["counts"]
+    assert counts["received"] == counts["processed"] + counts["dropped"] + counts["waiting"]
+
+
+def test_a_status_that_cannot_be_written_is_told_once_and_the_loop_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import page_runtime.commands.live as command
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(command, "write_json", full)
+    monkeypatch.setattr(command, "STATUS_PERIOD_S", 0.0)
+    out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--status", str(status), "--quiet"]
+    assert main(arguments) == 0
+    assert capsys.readouterr().err.count("No space left on device") == 1
+    assert len(lines_of(out)) == len(open_source(BOXES).entries)
