@@ -1,4 +1,4 @@
-"""Frames and results in one MCAP file: a recording like those of `page-runtime record`, with TF, markers and joint states."""
+"""Frames and results in one MCAP file: a recording as `page-runtime record` writes, with TF and markers beside it."""
 
 from __future__ import annotations
 
