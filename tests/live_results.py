@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from page_runtime.pose import not_seen
 
 
 def results_of(recording: Path, bundle: Path, *, max_looks: int = 1) -> Iterator[LiveResult]:
-    """A result for every frame, objects numbered in the order of the frame's regions."""
+    """A result for every frame, 30 a second, objects numbered in the order of the frame's regions."""
     network = Network(bundle, threads=1)
     for count, recorded in enumerate(open_source(recording), start=1):
         begin = time.perf_counter()
@@ -30,8 +31,9 @@ def results_of(recording: Path, bundle: Path, *, max_looks: int = 1) -> Iterator
         for found in objects:
             for name, value in found.pose.stage_ms.items():
                 stage_ms[name] = stage_ms.get(name, 0.0) + value
+        frame = replace(recorded.frame, timestamp_s=count / 30)
         counts = LoopCounts(received=count, processed=count, searched=count * len(objects))
-        yield LiveResult(recorded.frame, objects, "tracking", counts, latency_ms, stage_ms)
+        yield LiveResult(frame, objects, "tracking", counts, latency_ms, stage_ms)
 
 
 def empty_result(index: int, *, period_s: float = 1 / 30) -> LiveResult:
@@ -43,6 +45,13 @@ def empty_result(index: int, *, period_s: float = 1 / 30) -> LiveResult:
     )
     counts = LoopCounts(received=index + 1, processed=index + 1)
     return LiveResult(frame, (), "searching", counts, 1.0, reason="no object found: no depth reading in the frame")
+
+
+def noisy_result(index: int) -> LiveResult:
+    """A picture that no codec makes small."""
+    result = empty_result(index)
+    result.frame.color[:] = np.random.default_rng(index).integers(0, 255, result.frame.color.shape)
+    return result
 
 
 def unseen_result(index: int) -> LiveResult:

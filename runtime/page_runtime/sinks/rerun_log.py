@@ -5,8 +5,8 @@ Everything 3-D is in the camera frame: the root is the camera, OpenCV axes, metr
     picture                 the colour, and the camera it was seen by
     points                  the depth readings, coloured, thinned to MAX_POINTS
     objects/N/PART          the part's frame with its axes; /box its box, /keypoints its keypoints
-    plots/...               latency_ms, stage_ms/STAGE, confidence/N/PART, votes/N/PART (share of the voters at the highest
-                            peak of each keypoint), joints/N/JOINT (degrees or millimetres)
+    plots/...               latency_ms, stage_ms/STAGE, confidence/N/PART, joints/N/JOINT (degrees or millimetres),
+                            votes/N/PART (share of the voters at the highest peak of each keypoint)
     log                     reasons, and changes of the loop's state
 """
 
@@ -234,7 +234,7 @@ class RerunViewer(_RerunSink):
         beside = Path(sys.executable).parent / "rerun"
         found = executable or (beside if beside.exists() else shutil.which("rerun"))
         if found is None:
-            raise SourceError("the Rerun viewer: no program `rerun` beside Python or in PATH; reinstall page-edge[view]")
+            raise SourceError("the Rerun viewer: no program `rerun` beside Python or in PATH; reinstall rerun-sdk")
         port = _free_port()
         # A session of its own: Ctrl-C ends the loop, and the viewer stays to be looked at.
         self._viewer = subprocess.Popen(

@@ -41,7 +41,7 @@ class VideoSink:
         self._writer: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._written = 0
-        self._begin_s: float | None = None
+        self._begin_s = self._last_s = 0.0
         self._last: NDArray[np.uint8] | None = None
 
     @property
@@ -55,19 +55,28 @@ class VideoSink:
             self._open(picture.shape[1], picture.shape[0])
         if (picture.shape[1], picture.shape[0]) != self._size:
             raise ValueError(f"{self._path}: expected pictures of {self._size}, got {picture.shape[1::-1]}")
-        time_s = result.frame.timestamp_s
-        if self._begin_s is None:
-            self._begin_s = time_s
+        if self._last is not None and self._fill_until(result.frame.timestamp_s):
+            self._append(picture)
+        elif self._last is None:
+            self._begin_s = result.frame.timestamp_s
+            self._append(picture)
+        self._last, self._last_s = picture, result.frame.timestamp_s
+
+    def _fill_until(self, time_s: float) -> bool:
+        """Repeat the last picture until `time_s`; whether one of that time is due, which it is not where results come
+        more often than pictures."""
+        assert self._last is not None
         due = round((time_s - self._begin_s) * FPS)
-        if self._last is not None:
-            stills = min(max(0, due - self._written), LONGEST_STILL)
-            for _ in range(stills):
-                self._append(self._last)
-            if due - self._written > 0 or due < self._written - 1:
-                # After a gap that was cut short, and where the source's clock goes back or stands, it counts from here.
-                self._begin_s = time_s - self._written / FPS
-        self._append(picture)
-        self._last = picture
+        goes_on = time_s > self._last_s
+        if goes_on and due < self._written:
+            return False
+        stills = min(due - self._written, LONGEST_STILL) if goes_on else 0
+        for _ in range(stills):
+            self._append(self._last)
+        if self._written != due:
+            # After what was cut short, and where the clock stands or goes back, it counts from here.
+            self._begin_s = time_s - self._written / FPS
+        return True
 
     def _open(self, width: int, height: int) -> None:
         codec = cv2.VideoWriter.fourcc(*"mp4v")

@@ -146,9 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
         is_picture = path == f"/picture/{name}.jpg" and name.isascii() and name.isdigit()
         return self.server.history.of(int(name)) if is_picture else None
 
-    def _answer(
-        self, body: bytes, kind: str, *, status: HTTPStatus = HTTPStatus.OK, cache: str = "no-store"
-    ) -> None:
+    def _answer(self, body: bytes, kind: str, *, status: HTTPStatus = HTTPStatus.OK, cache: str = "no-store") -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
