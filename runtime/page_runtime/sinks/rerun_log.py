@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     import rerun as rr
 
 APPLICATION = "page-edge"
+# Of itself the viewer would listen to the whole network.
+LOOPBACK = "127.0.0.1"
 MAX_POINTS = 20_000
 JPEG_QUALITY = 85
 PIPE_BYTES = 1 << 16
@@ -238,13 +240,13 @@ class RerunViewer(_RerunSink):
         port = _free_port()
         # A session of its own: Ctrl-C ends the loop, and the viewer stays to be looked at.
         self._viewer = subprocess.Popen(
-            [str(found), "--port", str(port), *arguments],
+            [str(found), "--bind", LOOPBACK, "--port", str(port), *arguments],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
         self._wait_for(port)
-        self._recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
+        self._recording.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
         self._begin()
 
     @property
@@ -255,7 +257,7 @@ class RerunViewer(_RerunSink):
     def _wait_for(self, port: int) -> None:
         deadline_s = time.monotonic() + START_S
         while self._viewer.poll() is None and time.monotonic() < deadline_s:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=1.0):
                 return
             time.sleep(0.05)
         self._viewer.kill()
@@ -278,5 +280,5 @@ class RerunViewer(_RerunSink):
 
 def _free_port() -> int:
     with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
