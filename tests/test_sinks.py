@@ -153,7 +153,7 @@ def test_a_sink_that_always_fails_is_told_of_once_and_the_others_get_everything(
 
 def test_a_sink_that_hangs_costs_the_loop_nothing_and_is_left_behind_in_bounded_time() -> None:
     release = threading.Event()
-    hanging, good = Script(lambda _: release.wait(30) and None), Script()
+    hanging, good = Script(lambda _: None if release.wait(30) else None), Script()
     hanging.name = "hanging"
     told: list[str] = []
     sinks = Sinks([(hanging, NEWEST), (good, EVERY)], tell=told.append, close_s=0.3)
@@ -273,7 +273,7 @@ def turn(q: object) -> np.ndarray:
 )
 def test_a_quaternion_is_the_half_turn_about_the_axis(axis: list[float], angle_rad: float) -> None:
     unit = np.array(axis) / np.linalg.norm(axis)
-    (found,) = unit_quaternions(rotation_about(unit, angle_rad)[None])
+    (found,) = unit_quaternions(np.asarray(rotation_about(unit, angle_rad)[None], np.float64))
     expected = np.array([np.cos(angle_rad / 2), *(np.sin(angle_rad / 2) * unit)])
     # q and -q are the same turn.
     assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-7

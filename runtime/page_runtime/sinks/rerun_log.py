@@ -95,7 +95,8 @@ class _RerunSink:
         step = max(1, round(np.sqrt(frame.depth_m.size / MAX_POINTS)))
         depth_m = frame.depth_m[::step, ::step]
         rows, columns = np.nonzero(depth_m)
-        points_camera = camera.backproject(np.stack([columns, rows], axis=-1) * step, depth_m[rows, columns])
+        pixels = np.stack([columns, rows], axis=-1) * float(step)
+        points_camera = camera.backproject(pixels, depth_m[rows, columns])
         colors = frame.color[::step, ::step][rows, columns]
         self._recording.log("points", rr.Points3D(points_camera, colors=colors))
 

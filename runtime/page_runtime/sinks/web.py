@@ -21,6 +21,7 @@ from importlib.resources import files
 from typing import Any
 
 import cv2
+import numpy as np
 
 from page_runtime.image_files import encode_jpeg
 from page_runtime.live.result import LiveResult
@@ -109,7 +110,7 @@ def _page() -> bytes:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: _Server
+    server: _Server  # pyright: ignore[reportIncompatibleVariableOverride]
     protocol_version = "HTTP/1.1"
     timeout = SEND_TIMEOUT_S
 
@@ -204,7 +205,7 @@ class WebSink:
         height, width = picture.shape[:2]
         if width > MAX_WIDTH_PX:
             size = MAX_WIDTH_PX, round(height * MAX_WIDTH_PX / width)
-            picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+            picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
         record = {"seq": self._seq, "run": self._run, "clock_s": time.monotonic(), **result_record(result)}
         self._history.add(_Shown(self._seq, json.dumps(record, allow_nan=False), encode_jpeg(picture)))
         self._seq += 1
