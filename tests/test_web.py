@@ -198,9 +198,8 @@ def test_a_browser_shows_what_comes_and_the_slider_looks_back(
         assert float(confidence) == pytest.approx(part["confidence"], abs=0.0051)
         T = np.array(part["T_camera_part"])
         np.testing.assert_allclose([float(v) for v in place.split(",")], 1e3 * T[:3, 3], atol=0.051)
-        np.testing.assert_allclose(
-            [float(v) for v in extents.split("\N{MULTIPLICATION SIGN}")], 1e3 * np.array(part["extents_m"]), atol=0.51
-        )
+        sizes_mm = [float(v) for v in extents.split("\N{MULTIPLICATION SIGN}")]
+        np.testing.assert_allclose(sizes_mm, 1e3 * np.array(part["extents_m"]), atol=0.51)
     (joint,) = found["joints"]
     assert float(joints["0/hinge"][1].split()[0]) == pytest.approx(np.degrees(joint["value"]), abs=0.051)
 

@@ -34,8 +34,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 130
-    interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 1 `doctor` found a problem, 2 bad input (no file was written), 3
+    no camera, 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -62,7 +62,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     from page_runtime.image_files import SourceError
 
     try:
-        getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
+        found = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
     except DeviceUnavailable as error:
         return _refuse(error, code=EXIT_NO_CAMERA)
     except (BundleError, SourceError) as error:
@@ -71,7 +71,7 @@ def _call(command: str, options: dict[str, object]) -> int:
         raise
     except OSError as error:
         return _refuse(error)
-    return 0
+    return found or 0
 
 
 def _refuse(error: Exception, *, code: int = EXIT_BAD_INPUT) -> int:
@@ -153,6 +153,13 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
     devices = commands.add_parser("devices", help="list the cameras", description="list the cameras that answer")
     devices.add_argument("--json", dest="as_json", action="store_true", help="as a JSON list")
+    doctor_help = "look at this computer, its cameras and a recording, and say what to change"
+    doctor = commands.add_parser("doctor", help=doctor_help, description=f"{doctor_help}; exit code 1: a problem")
+    doctor.add_argument("recording", metavar="RECORDING", nargs="?", help="whose calibration and frames are checked")
+    bundle_help = "what is timed (default: a shipped one)"
+    doctor.add_argument("--bundle", metavar="B", type=Path, help=bundle_help)
+    doctor.add_argument("--seconds", metavar="S", type=_seconds, default=3.0, help="time for that (default: 3)")
+    doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     record = command("record", "write the frames of a camera or recording as they come", "source", source_help)
     record.add_argument("target", metavar="TARGET", type=Path, help="a new .mcap file, or a new folder (recording)")
     convert = command("convert", "write a recording in another layout", "source", "a folder or file of RGB-D frames")
@@ -177,6 +184,16 @@ def _milliseconds(text: str) -> float:
         value = -1.0
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text!r}")
+    return value
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text!r}")
     return value
 
 

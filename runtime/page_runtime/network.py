@@ -49,6 +49,11 @@ def feeds(metadata: BundleMetadata, sample: RegionSample, neighbours: Neighbours
     return {"image": image, "points": points, "pixels": sample.pixels[None], **tables}
 
 
+def available_providers() -> tuple[str, ...]:
+    """What this onnxruntime could run a network with; the runtime asks for the CPU's."""
+    return tuple(ort.get_available_providers())
+
+
 class Network:
     """A loaded bundle, ready to run."""
 
