@@ -150,8 +150,10 @@ def some_frames(source: Source) -> list[RecordedFrame]:
 
 
 def check_recording(source: Source, frames: Sequence[RecordedFrame], metadata: BundleMetadata | None) -> list[Finding]:
-    """Whether calibration, depth unit and times can be what they are said to be. metadata: of the bundle that is to find
-    the objects, where there is one."""
+    """Whether calibration, depth unit and times can be what they are said to be.
+
+    metadata: of the bundle that is to find the objects, where there is one.
+    """
     found = [
         *check_camera(frames[0].frame.camera),
         check_depth(np.concatenate([recorded.frame.depth_m.reshape(-1) for recorded in frames])),

@@ -49,8 +49,7 @@ def doctor(recording: str | None, *, bundle: Path | None, seconds: float, as_jso
     else:
         figures = measure(network, source, frames, seconds)
         found += speed_findings(figures)
-    write = _as_json if as_json else readable
-    sys.stdout.write(write(found, figures))
+    sys.stdout.write(_as_json(found, figures) if as_json else readable(found))
     return EXIT_PROBLEM if any(finding.level == "problem" for finding in found) else 0
 
 
@@ -142,7 +141,7 @@ def _as_json(found: Sequence[Finding], figures: dict[str, Any]) -> str:
     return json.dumps({"findings": [asdict(finding) for finding in found], "speed": figures or None}) + "\n"
 
 
-def readable(found: Sequence[Finding], _: dict[str, Any]) -> str:
+def readable(found: Sequence[Finding]) -> str:
     """The findings as lines, what to do below each, and how many there are."""
     width = max(len(finding.topic) for finding in found)
     lines = []
