@@ -63,11 +63,11 @@ def shipped_bundle(category: str | None) -> Path | None:
 def _devices() -> Iterator[Finding]:
     try:
         devices = connected_devices()
-    except SourceError as error:
-        yield Finding("cameras", "ok", "not looked for", str(error))
-        return
     except DeviceUnavailable as error:
         yield Finding("cameras", "problem", str(error), "page-runtime devices")
+        return
+    except SourceError as error:
+        yield Finding("cameras", "ok", "not looked for", str(error))
         return
     if devices:
         yield Finding("cameras", "ok", ", ".join(f"oak:{d.device_id} ({d.name}, {d.state})" for d in devices))

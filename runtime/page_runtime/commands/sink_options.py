@@ -129,9 +129,10 @@ def _made(
         ("--udp", lambda: _udp(options.udp), NEWEST),
         ("--mcap", lambda: _mcap(options.mcap, category, calibration), EVERY),
         ("--rrd", lambda: _rrd(options.rrd), EVERY),
-        ("--view", lambda: _viewer(options.view), NEWEST),
         ("--web", lambda: _web(options.web), NEWEST),
         ("--video", lambda: _video(options.video), EVERY),
+        # Last: its window stays open whatever comes after it.
+        ("--view", lambda: _viewer(options.view), NEWEST),
     ):
         sink = _opened(option, make)
         if sink is not None:
