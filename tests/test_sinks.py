@@ -33,7 +33,7 @@ from page_runtime.live.result import LiveResult
 from page_runtime.pose import PartPose
 from page_runtime.schema import pose_record, result_record
 from page_runtime.similarity import unit_quaternions
-from page_runtime.sinks.json_lines import UdpSink, line_file, line_stdout
+from page_runtime.sinks.json_lines import LineSink, UdpSink, line_file, line_stdout
 from page_runtime.sinks.mcap import McapSink
 from page_runtime.sinks.picture import picture_of
 from page_runtime.sinks.queue import EVERY, NEWEST, Sinks
@@ -199,6 +199,22 @@ def test_a_line_holds_the_poses_as_run_writes_them_and_what_the_loop_adds(
 def test_lines_go_to_standard_output_as_they_come(results: list[LiveResult], capfd: pytest.CaptureFixture[str]) -> None:
     keep(line_stdout(), results)
     assert [json.loads(line)["frame"] for line in capfd.readouterr().out.splitlines()] == [0, 1, 2]
+
+
+def test_a_reader_that_goes_away_is_told_once_and_the_loop_goes_on() -> None:
+    reading, writing = os.pipe()
+    told: list[str] = []
+    sink = LineSink(writing, name="lines pipe")
+    with Sinks([(sink, 100)], tell=told.append, close_s=20) as sinks:
+        sinks.put(empty_result(0))
+        assert os.read(reading, 1)
+        os.close(reading)
+        for i in range(50):
+            sinks.put(empty_result(i))
+    counts = sinks.counts["lines pipe"]
+    assert counts.written + counts.failed == 51
+    assert counts.failed >= 49
+    assert sum("Broken pipe" in sentence for sentence in told) == 1
 
 
 def test_datagrams_arrive_and_a_listener_that_is_away_is_no_fault(results: list[LiveResult]) -> None:
