@@ -12,10 +12,12 @@ import pytest
 import toy
 from page_runtime import findings
 from page_runtime.camera import Camera
-from page_runtime.capture import oak
+from page_runtime.capture.frame_service import DeviceUnavailable
+from page_runtime.capture.oak import OakDevice
 from page_runtime.cli import main
 from page_runtime.commands import doctor as command
 from page_runtime.findings import Finding
+from page_runtime.image_files import SourceError
 from page_runtime.network import Network
 from page_runtime.recorded import RecordedFrame
 from page_runtime.recording import RecordingWriter
@@ -82,14 +84,14 @@ def test_a_search_for_cameras_that_fails_is_a_problem_and_a_missing_extra_is_not
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def fails(error: Exception) -> list[Finding]:
-        def search() -> tuple[oak.OakDevice, ...]:
+        def search() -> tuple[OakDevice, ...]:
             raise error
 
         monkeypatch.setattr(command, "connected_devices", search)
         return list(command._devices())
 
-    assert fails(oak.DeviceUnavailable("the search failed: crashed"))[0].level == "problem"
-    (finding,) = fails(oak.SourceError("pip install 'page-edge[oak]'"))
+    assert fails(DeviceUnavailable("the search failed: crashed"))[0].level == "problem"
+    (finding,) = fails(SourceError("pip install 'page-edge[oak]'"))
     assert (finding.level, finding.advice) == ("ok", "pip install 'page-edge[oak]'")
 
 

@@ -284,6 +284,7 @@ def turn(q: object) -> np.ndarray:
     return np.eye(3) if length == 0 else rotation_about(axis, 2 * np.arctan2(length, w))
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda a: np.linalg.norm(a) > 0.1), st.floats(0, np.pi)
 )
