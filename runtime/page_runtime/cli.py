@@ -153,13 +153,6 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
     devices = commands.add_parser("devices", help="list the cameras", description="list the cameras that answer")
     devices.add_argument("--json", dest="as_json", action="store_true", help="as a JSON list")
-    doctor_help = "look at this computer, its cameras and a recording, and say what to change"
-    doctor = commands.add_parser("doctor", help=doctor_help, description=f"{doctor_help}; exit code 1: a problem")
-    doctor.add_argument("recording", metavar="RECORDING", nargs="?", help="whose calibration and frames are checked")
-    bundle_help = "what is timed (default: a shipped one)"
-    doctor.add_argument("--bundle", metavar="B", type=Path, help=bundle_help)
-    doctor.add_argument("--seconds", metavar="S", type=_seconds, default=3.0, help="time for that (default: 3)")
-    doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     record = command("record", "write the frames of a camera or recording as they come", "source", source_help)
     record.add_argument("target", metavar="TARGET", type=Path, help="a new .mcap file, or a new folder (recording)")
     convert = command("convert", "write a recording in another layout", "source", "a folder or file of RGB-D frames")
@@ -174,6 +167,13 @@ def _parser() -> argparse.ArgumentParser:
     repair_help = "make a whole recording of one that was cut short or damaged"
     repair = command("repair", repair_help, "recording", "an .mcap file, a bag, or .NAME.partial", Path)
     repair.add_argument("--out", metavar="PATH", type=Path, help="its name (default: NAME.repaired beside it)")
+    doctor_help = "look at this computer, its cameras and a recording, and say what to change"
+    doctor = commands.add_parser("doctor", help=doctor_help, description=f"{doctor_help}; exit code 1: a problem")
+    doctor.add_argument("recording", metavar="RECORDING", nargs="?", help="whose calibration and frames are checked")
+    bundle_help = "what is timed (default: a shipped one)"
+    doctor.add_argument("--bundle", metavar="B", type=Path, help=bundle_help)
+    doctor.add_argument("--seconds", metavar="S", type=_seconds, default=3.0, help="time for that (default: 3)")
+    doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     return parser
 
 
@@ -184,16 +184,6 @@ def _milliseconds(text: str) -> float:
         value = -1.0
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text!r}")
-    return value
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text!r}")
     return value
 
 
@@ -209,6 +199,16 @@ def _count(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, got {text!r}")
     return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text!r}")
+    return value
 
 
 if __name__ == "__main__":
