@@ -57,7 +57,9 @@ def test_the_laptops_angle_is_the_estimates_where_frames_are_far_apart() -> None
     assert [float(line.split()[2]) for line in lines] == pytest.approx(expected, abs=6.0)
 
 
-def test_the_laptops_angle_of_a_lid_that_stands_still_is_steadier_than_the_estimates() -> None:
+def test_the_laptops_angle_of_a_lid_that_stands_still_is_steadier_than_the_estimates(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     laptop_angle = example("laptop_angle")
     recorded = open_source(ROOT / "tests/data/laptop").entries[0].read()
     rng, sigma = np.random.default_rng(0), 0.1
@@ -67,8 +69,8 @@ def test_the_laptops_angle_of_a_lid_that_stands_still_is_steadier_than_the_estim
     def noisy(*_: object, **__: object) -> ArticulatedPose:
         return ArticulatedPose((), (JointState("hinge", "revolute", next(states), sigma, (0.0, 3.5)),), {})
 
-    laptop_angle.estimate = noisy
-    laptop_angle.PROCESS_SIGMA_RAD = 0.01
+    monkeypatch.setattr(laptop_angle, "estimate", noisy)
+    monkeypatch.setattr(laptop_angle, "PROCESS_SIGMA_RAD", 0.01)
     found = np.array(list(laptop_angle.hinge_angles(None, [recorded] * len(values))))
     assert len(found) == 200
     assert np.std(found[50:, 1]) < np.std(values[50:]) / 2
