@@ -56,6 +56,8 @@ class _RerunSink:
 
     def __init__(self, name: str) -> None:
         require_rerun()
+        # Rerun warns of the missing footer at each start; it is meant.
+        os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=error")
         import rerun
 
         self._rr = rerun
@@ -188,7 +190,8 @@ class RrdSink(_RerunSink):
         self._failure: OSError | None = None
         self._copier = threading.Thread(target=self._copy, args=(reading,), name=f"copy {self._name}", daemon=True)
         self._copier.start()
-        self._recording.save(f"/dev/fd/{writing}")
+        # A footer lists every chunk, and the list waits in memory: 70 kB a result.
+        self._recording.save(f"/dev/fd/{writing}", write_footer=False)
         os.close(writing)
         self._begin()
 
