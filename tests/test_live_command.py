@@ -49,6 +49,9 @@ def test_live_writes_a_line_a_frame_and_a_status_that_agrees_with_them(tmp_path:
     assert all("rate" in joint for joint in found[0]["joints"])
     assert all(line["reason"] for line in lines if not line["objects"])
     assert len(list(pictures.iterdir())) == len(indices)
+    assert {name.split()[0] for name in document["sinks"]} == {"lines", "overlay"}
+    for counts in document["sinks"].values():
+        assert counts["given"] == counts["written"] + counts["dropped"] == len(indices)
 
 
 def test_without_tracking_every_frame_is_what_estimate_says(tmp_path: Path) -> None:

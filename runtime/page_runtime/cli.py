@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
+from page_runtime.commands.sink_options import add_sink_options
 from page_runtime.commands.usage import UsageError
 
 EXIT_BAD_INPUT = 2
@@ -35,8 +36,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 4 a camera that
-    was lost, 130 interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 1 `doctor` found a problem, 2 bad input (no file was written), 3
+    no camera, 4 a camera that was lost, 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -64,7 +65,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     from page_runtime.image_files import SourceError
 
     try:
-        getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
+        found = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
     except DeviceUnavailable as error:
         return _refuse(error, code=EXIT_NO_CAMERA)
     except SourceLost as error:
@@ -75,7 +76,7 @@ def _call(command: str, options: dict[str, object]) -> int:
         raise
     except OSError as error:
         return _refuse(error)
-    return 0
+    return found or 0
 
 
 def _refuse(error: Exception, *, code: int = EXIT_BAD_INPUT) -> int:
@@ -146,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
     common(run)
-    live = command("live", "find objects, follow them, and write one JSON line for every frame", "source", source_help)
+    live = command("live", "find objects, follow them, and give a result for every frame", "source", source_help)
     limited(live)
     where = live.add_mutually_exclusive_group()
     where_help = (
@@ -167,8 +168,7 @@ def _parser() -> argparse.ArgumentParser:
     deadline_help = "leave out what would make a result later than MS after its frame, and count late ones"
     live.add_argument("--deadline-ms", metavar="MS", type=_positive, help=deadline_help)
     live.add_argument("--status", metavar="FILE", type=Path, help="keep state, counters and latency here, as JSON")
-    live.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
-    live.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
+    add_sink_options(live)
     common(live)
     live.set_defaults(looks=1)
     validate = command("validate", "compare with the truth of a recording", "recording", "a folder with true poses")
@@ -196,6 +196,13 @@ def _parser() -> argparse.ArgumentParser:
     repair_help = "make a whole recording of one that was cut short or damaged"
     repair = command("repair", repair_help, "recording", "an .mcap file, a bag, or .NAME.partial", Path)
     repair.add_argument("--out", metavar="PATH", type=Path, help="its name (default: NAME.repaired beside it)")
+    doctor_help = "look at this computer, its cameras and a recording, and say what to change"
+    doctor = commands.add_parser("doctor", help=doctor_help, description=f"{doctor_help}; exit code 1: a problem")
+    doctor.add_argument("recording", metavar="RECORDING", nargs="?", help="whose calibration and frames are checked")
+    bundle_help = "what is timed (default: a shipped one)"
+    doctor.add_argument("--bundle", metavar="B", type=Path, help=bundle_help)
+    doctor.add_argument("--seconds", metavar="S", type=_seconds, default=3.0, help="time for that (default: 3)")
+    doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     return parser
 
 
@@ -242,6 +249,16 @@ def _count(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, got {text!r}")
     return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text!r}")
+    return value
 
 
 if __name__ == "__main__":

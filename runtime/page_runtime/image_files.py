@@ -183,6 +183,14 @@ def write_color(path: Path, color: NDArray[np.uint8], *, effort: PngEffort = PNG
     _encode(path, np.ascontiguousarray(color[..., ::-1]), effort)
 
 
+def encode_jpeg(color: NDArray[np.uint8], *, quality: int = JPEG_QUALITY) -> bytes:
+    """(H,W,3) uint8 RGB as the bytes of a JPEG file."""
+    written, data = cv2.imencode(".jpg", np.ascontiguousarray(color[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not written:
+        raise ValueError(f"encode_jpeg: expected (H,W,3) uint8, got {color.shape} {color.dtype}")
+    return data.tobytes()
+
+
 def write_depth(
     path: Path, depth_m: NDArray[np.float32], *, metres_per_unit: float, effort: PngEffort = PNG_SMALL
 ) -> None:

@@ -143,3 +143,8 @@ class Network:
     def run(self, sample: RegionSample, neighbours: Neighbours) -> NetworkOutput:
         """One forward pass for all parts."""
         return NetworkOutput.from_graph(self.run_raw(sample, neighbours), self.metadata.category.region_radius_m)
+
+
+def available_providers() -> tuple[str, ...]:
+    """What this onnxruntime could run a network with; the runtime asks for the CPU's."""
+    return tuple(ort.get_available_providers())

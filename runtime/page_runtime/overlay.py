@@ -39,7 +39,7 @@ def draw(
     with_truth: true boxes, thin and white.
     """
     picture = np.ascontiguousarray(frame.color).copy()
-    width = max(1, round(max(picture.shape[:2]) / 640))
+    width = _line_width(picture)
     line_height = 12 + 8 * width
     rows_at_top = 0
     for instance, pose in found:
@@ -60,6 +60,17 @@ def draw(
                 _write(picture, f"{part.name}: {part.reason}", np.array([left, baseline]), color)
                 baseline += line_height
     return picture
+
+
+def write_lines(picture: NDArray[np.uint8], lines: Sequence[str]) -> None:
+    """Lines of text at the top left of `picture` (H,W,3) uint8 RGB, in place."""
+    line_height = 12 + 8 * _line_width(picture)
+    for i, line in enumerate(lines):
+        _write(picture, line, np.array([8, line_height * (1 + i)]), TRUTH_COLOR)
+
+
+def _line_width(picture: NDArray[np.uint8]) -> int:
+    return max(1, round(max(picture.shape[:2]) / 640))
 
 
 def _draw_part(picture: NDArray[np.uint8], camera: Camera, part: PartPose, color: Rgb, width: int) -> None:

@@ -1,10 +1,13 @@
-"""One estimate as a JSON object: the line `page-runtime run` writes. Documented in runtime/README.md."""
+"""Estimates as JSON objects: the lines that `page-runtime run` (runtime/README.md) and sinks (SINKS.md) write."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
+from page_runtime.live.result import LiveObject, LiveResult
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose
 
 
@@ -15,11 +18,43 @@ def pose_record(
     record: dict[str, Any] = {"frame": frame, "timestamp_s": timestamp_s}
     if instance is not None:
         record["instance"] = instance
-    record["parts"] = [_part_record(part) for part in pose.parts]
-    record["joints"] = [_joint_record(joint) for joint in pose.joints]
-    record["looks"] = pose.looks
-    record["stage_ms"] = {name: round(value, 3) for name, value in pose.stage_ms.items()}
-    return record
+    return record | _pose_fields(pose)
+
+
+def result_record(result: LiveResult) -> dict[str, Any]:
+    """The record of everything about one processed frame; its objects have the fields of `pose_record`."""
+    return {
+        "frame": result.frame.index,
+        "timestamp_s": result.frame.timestamp_s,
+        "state": result.state,
+        "reason": result.reason or None,
+        "latency_ms": round(result.latency_ms, 3),
+        "late": result.late,
+        "stage_ms": _milliseconds(result.stage_ms),
+        "counts": asdict(result.counts),
+        "objects": [_object_record(found) for found in result.objects],
+    }
+
+
+def _object_record(found: LiveObject) -> dict[str, Any]:
+    region = [int(value) for value in found.region]
+    fields = _pose_fields(found.pose)
+    for joint, rate in zip(fields["joints"], found.joint_rates, strict=False):
+        joint["rate"] = rate
+    return {"number": found.number, "region": region, "tracked": found.tracked, **fields}
+
+
+def _pose_fields(pose: ArticulatedPose) -> dict[str, Any]:
+    return {
+        "parts": [_part_record(part) for part in pose.parts],
+        "joints": [_joint_record(joint) for joint in pose.joints],
+        "looks": pose.looks,
+        "stage_ms": _milliseconds(pose.stage_ms),
+    }
+
+
+def _milliseconds(stage_ms: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value, 3) for name, value in stage_ms.items()}
 
 
 def _part_record(part: PartPose | NotSeen) -> dict[str, Any]:

@@ -48,8 +48,8 @@ def so3_exp(rotation_vectors: FloatArray) -> FloatArray:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + second * (cross @ cross)
 
 
-def so3_log(R: FloatArray) -> FloatArray:
-    """(B, 3, 3) rotations to rotation vectors (B, 3) rad of angle in [0, pi]; at pi either sign is as good."""
+def unit_quaternions(R: FloatArray) -> FloatArray:
+    """(B, 3, 3) rotations to unit quaternions (B, 4) w, x, y, z with w >= 0; at w = 0 either sign is as good."""
     # Of the quaternion's four squared components the largest is known best; the others follow from it by products.
     m = R
     trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
@@ -62,7 +62,12 @@ def so3_log(R: FloatArray) -> FloatArray:
         products[:, a + 1, b + 1] = products[:, b + 1, a + 1] = m[:, a, b] + m[:, b, a]
     quaternion = products[np.arange(len(R)), squares.argmax(axis=1)]
     quaternion = quaternion * np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
-    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
+def so3_log(R: FloatArray) -> FloatArray:
+    """(B, 3, 3) rotations to rotation vectors (B, 3) rad of angle in [0, pi]; at pi either sign is as good."""
+    quaternion = unit_quaternions(R)
     sine = np.linalg.norm(quaternion[:, 1:], axis=1)
     half = np.arctan2(sine, quaternion[:, 0])
     return quaternion[:, 1:] * (2.0 / np.maximum(np.sinc(half / np.pi), 1e-30))[:, None]

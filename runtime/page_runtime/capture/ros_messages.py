@@ -86,19 +86,19 @@ def messages_of(recorded: RecordedFrame, *, category: str | None, part_names: tu
     color_ns = round(frame.timestamp_s * 1e9)
     depth_ns = round((frame.timestamp_s + frame.skew_s) * 1e9)
     facts = json.dumps(_facts(recorded, category, part_names), allow_nan=False)
-    yield _message(INFO_TOPIC, color_ns, _camera_info(frame.camera, color_ns))
-    yield _message(DEPTH_INFO_TOPIC, depth_ns, _camera_info(frame.camera, depth_ns))
+    yield message_of(INFO_TOPIC, color_ns, _camera_info(frame.camera, color_ns))
+    yield message_of(DEPTH_INFO_TOPIC, depth_ns, _camera_info(frame.camera, depth_ns))
     yield text_message(FACTS_TOPIC, color_ns, facts)
-    yield _message(COLOR_TOPIC, color_ns, _image(frame.color.reshape(-1), "rgb8", frame.camera, 3, color_ns))
+    yield message_of(COLOR_TOPIC, color_ns, _image(frame.color.reshape(-1), "rgb8", frame.camera, 3, color_ns))
     units = exact_units(frame.depth_m, metres_per_unit=METRES_PER_UNIT)
     pixels, encoding, size = (frame.depth_m, "32FC1", 4) if units is None else (units, "16UC1", 2)
     image = _image(np.ascontiguousarray(pixels).view(np.uint8).reshape(-1), encoding, frame.camera, size, depth_ns)
-    yield _message(DEPTH_TOPIC, depth_ns, image)
+    yield message_of(DEPTH_TOPIC, depth_ns, image)
 
 
 def text_message(topic: str, time_ns: int, text: str) -> Message:
     """A String."""
-    return _message(topic, time_ns, typestore().types[STRING](data=text))
+    return message_of(topic, time_ns, typestore().types[STRING](data=text))
 
 
 def exact_units(depth_m: NDArray[np.float32], *, metres_per_unit: float) -> NDArray[np.uint16] | None:
@@ -110,12 +110,14 @@ def exact_units(depth_m: NDArray[np.float32], *, metres_per_unit: float) -> NDAr
     return whole if np.array_equal(depth_in_metres(whole, metres_per_unit=metres_per_unit), depth_m) else None
 
 
-def _message(topic: str, time_ns: int, message: Any) -> Message:
+def message_of(topic: str, time_ns: int, message: Any) -> Message:
+    """A message object of the type store, as bytes."""
     kind = message.__msgtype__
     return Message(topic, kind, time_ns, bytes(typestore().serialize_cdr(message, kind)))
 
 
-def _header(time_ns: int) -> Any:
+def header_at(time_ns: int) -> Any:
+    """A Header of the colour camera's optical frame."""
     types = typestore().types
     seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
     stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
@@ -124,7 +126,7 @@ def _header(time_ns: int) -> Any:
 
 def _image(data: NDArray[np.uint8], encoding: str, camera: Camera, pixel_bytes: int, time_ns: int) -> Any:
     return typestore().types[IMAGE](
-        header=_header(time_ns),
+        header=header_at(time_ns),
         height=camera.height,
         width=camera.width,
         encoding=encoding,
@@ -138,7 +140,7 @@ def _camera_info(camera: Camera, time_ns: int) -> Any:
     types = typestore().types
     roi = types["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     return types[INFO](
-        header=_header(time_ns),
+        header=header_at(time_ns),
         height=camera.height,
         width=camera.width,
         distortion_model="plumb_bob",

@@ -11,13 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from page_runtime.commands.inputs import load_network, require_fitting, require_region
-from page_runtime.commands.outputs import (
-    overlay_output,
-    require_file_place,
-    require_folder_place,
-    text_output,
-    write_json,
-)
+from page_runtime.commands.outputs import require_file_place, write_json
+from page_runtime.commands.sink_options import STDOUT, SinkOptions, open_sinks
 from page_runtime.commands.sources import is_live, opened, stopped_by_signals, total_of
 from page_runtime.commands.terminal import Progress
 from page_runtime.commands.usage import UsageError
@@ -28,12 +23,11 @@ from page_runtime.live.following import EachByItself, Tracking
 from page_runtime.live.locate import FixedRegion, Locator, OwnRegions
 from page_runtime.live.loop import LiveLoop
 from page_runtime.live.masks import MaskFolder
-from page_runtime.live.result import LiveObject, LiveResult
+from page_runtime.live.result import LiveResult, LoopCounts
 from page_runtime.network import Network
-from page_runtime.overlay import draw
-from page_runtime.recorded import FrameSource, Instance, Source
+from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
-from page_runtime.schema import json_line, pose_record
+from page_runtime.sinks.queue import Sinks
 
 STATUS_PERIOD_S = 1.0
 Where = Region | Literal["auto"]
@@ -51,22 +45,23 @@ def live(
     track: bool,
     deadline_ms: float | None,
     status: Path | None,
-    out: Path | None,
-    overlay: Path | None,
     frames: int,
     window_s: float,
     threads: int,
     looks: int,
     quiet: bool,
+    **where_to: Any,
 ) -> None:
-    """Follow the objects of `source` and write a line for every processed frame to `out` (None: standard output).
+    """Follow the objects of `source`; a result for every processed frame goes to the sinks of `where_to`, SinkOptions'
+    fields, and to standard output where they name none.
 
     Ctrl-C and SIGTERM end it well after the frame of the moment; a second one interrupts.
     """
     network, threads = load_network(bundle, threads=threads, looks=looks)
-    require_file_place(out, option="--out")
+    sink_options = SinkOptions(**where_to)
+    if sink_options == SinkOptions():
+        sink_options = SinkOptions(out=STDOUT)
     require_file_place(status, option="--status")
-    require_folder_place(overlay, option="--overlay")
     if classes and detector is None:
         raise UsageError("--classes: expected with --detector, whose classes they are")
     if sum(way is not None for way in (region, mask, detector)) > 1:
@@ -87,19 +82,16 @@ def live(
         deadline_s = None if deadline_ms is None else 1e-3 * deadline_ms
         loop = LiveLoop(found, follower, deadline_s=deadline_s, name=source)
         with (
-            text_output(out) as lines,
-            overlay_output(overlay) as pictures,
+            open_sinks(
+                sink_options, tell=_tell, category=network.metadata.category, calibration=found.calibration
+            ) as sinks,
             Progress("live", total_of(found, frames), quiet=quiet) as progress,
-            _status(status, loop) as report,
+            _status(status, loop, sinks) as report,
             stopped_by_signals(loop),
             loop,
         ):
             for count, result in enumerate(loop, start=1):
-                lines.write(json_line(_record(result)))
-                lines.flush()
-                if pictures is not None:
-                    drawn = [(Instance(one.region), one.pose) for one in result.objects]
-                    pictures.add(result.frame.index, draw(result.frame, drawn))
+                sinks.put(result)
                 report(result)
                 progress.advance()
                 if count == frames:
@@ -110,6 +102,10 @@ def live(
             f"page-runtime: {source}: {counts.received} frames, {counts.processed} processed, {counts.dropped} passed "
             f"over for newer ones, {counts.late} late\n"
         )
+
+
+def _tell(sentence: str) -> None:
+    sys.stderr.write(f"page-runtime: {sentence}\n")
 
 
 def _locator(
@@ -136,7 +132,7 @@ def _locator(
 
 
 @contextmanager
-def _status(path: Path | None, loop: LiveLoop) -> Iterator[Any]:
+def _status(path: Path | None, loop: LiveLoop, sinks: Sinks) -> Iterator[Any]:
     """Called with every result, writes the state and the figures at most once a second, and at the end. A disk that is
     full is told once, and does not end the loop."""
     if path is None:
@@ -144,13 +140,17 @@ def _status(path: Path | None, loop: LiveLoop) -> Iterator[Any]:
         return
     figures, written_s, state, told = RunningFigures(), float("-inf"), "", False
 
+    def document(counts: LoopCounts, *, running: bool) -> dict[str, Any]:
+        given = {name: asdict(one) for name, one in sinks.counts.items()}
+        return {"running": running, **figures.document(counts), "sinks": given}
+
     def write(document: dict[str, Any]) -> None:
         nonlocal told
         try:
             write_json(path, document)
         except OSError as error:
             if not told:
-                sys.stderr.write(f"page-runtime: --status: {path} cannot be written ({error.strerror}); going on\n")
+                _tell(f"--status: {path} cannot be written ({error.strerror}); going on")
             told = True
 
     def report(result: LiveResult) -> None:
@@ -159,32 +159,9 @@ def _status(path: Path | None, loop: LiveLoop) -> Iterator[Any]:
         now_s = time.monotonic()
         if now_s - written_s >= STATUS_PERIOD_S or result.state != state:
             written_s, state = now_s, result.state
-            write({"running": True, **figures.document(result.counts)})
+            write(document(result.counts, running=True))
 
     try:
         yield report
     finally:
-        write({"running": False, **figures.document(loop.counts)})
-
-
-def _record(result: LiveResult) -> dict[str, Any]:
-    """One line. Objects have the fields of `run`'s lines."""
-    return {
-        "frame": result.frame.index,
-        "timestamp_s": result.frame.timestamp_s,
-        "state": result.state,
-        "reason": result.reason or None,
-        "latency_ms": round(result.latency_ms, 3),
-        "late": result.late,
-        "stage_ms": {name: round(value, 3) for name, value in result.stage_ms.items()},
-        "counts": asdict(result.counts),
-        "objects": [_object(one, result) for one in result.objects],
-    }
-
-
-def _object(one: LiveObject, result: LiveResult) -> dict[str, Any]:
-    record = pose_record(one.pose, frame=result.frame.index, timestamp_s=result.frame.timestamp_s)
-    for joint, rate in zip(record["joints"], one.joint_rates, strict=False):
-        joint["rate"] = rate
-    own = {key: value for key, value in record.items() if key not in ("frame", "timestamp_s")}
-    return {"number": one.number, "region": list(one.region), "tracked": one.tracked, **own}
+        write(document(loop.counts, running=False))
