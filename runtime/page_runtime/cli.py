@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
 from page_runtime.commands.usage import UsageError
+from page_runtime.commands.validate_options import add_validate_options
 
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
@@ -124,8 +125,11 @@ def _parser() -> argparse.ArgumentParser:
     def limited(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--frames", metavar="N", type=_count, default=0, help="stop after N frames (default: all)")
 
-    def common(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--bundle", metavar="B", type=Path, required=True, help="the category's .onnx file")
+    def common(sub: argparse.ArgumentParser, *, several: bool = False) -> None:
+        more = {"action": "append", "help": "the category's .onnx file; one for each category"} if several else {}
+        sub.add_argument(
+            "--bundle", metavar="B", type=Path, required=True, **{"help": "the category's .onnx file", **more}
+        )
         sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
         sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
@@ -134,6 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
     source_help = "a folder or file of RGB-D frames, or a camera: oak, oak:DEVICE"
     looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
+    validate_help = "compare estimates with the truth of recordings, of any format and of one category or several"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
     run = command("run", "write one JSON line for every object in every frame", "source", source_help)
     limited(run)
@@ -142,10 +147,9 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
     common(run)
-    validate = command("validate", "compare with the truth of a recording", "recording", "a folder with true poses")
-    validate.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
-    validate.add_argument("--overlay", metavar="DIR", type=Path, help=f"{overlay_help}, and the true boxes")
-    common(validate)
+    validate = commands.add_parser("validate", help="compare with the truth of recordings", description=validate_help)
+    add_validate_options(validate, overlay_help)
+    common(validate, several=True)
     bench = command("bench", "time every stage", "recording", "a folder of RGB-D frames with regions")
     bench.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
     common(bench)

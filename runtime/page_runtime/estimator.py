@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import Network
-from page_runtime.part_poses import members_of, pose_from_output, seen_parts
+from page_runtime.network import Network, NetworkOutput
+from page_runtime.part_poses import MAX_VOTERS, members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
 from page_runtime.stopwatch import Stopwatch
@@ -22,14 +23,29 @@ LOOK_AGAIN_BELOW = 0.5
 # differently as mirror and crop together, and a fourth look gained nothing.
 OTHER_MARGINS = (0.0, 0.25)
 MAX_LOOKS = 1 + len(OTHER_MARGINS)
+OnAnswer = Callable[[RegionSample, NetworkOutput], None]
 
 
-def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> ArticulatedPose:
+def _unheard(sample: RegionSample, output: NetworkOutput) -> None:
+    del sample, output
+
+
+def estimate(
+    network: Network,
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    max_looks: int = MAX_LOOKS,
+    max_voters: int = MAX_VOTERS,
+    on_answer: OnAnswer = _unheard,
+) -> ArticulatedPose:
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
-    time of the first, so 1 is for loops whose time must not vary. Raises ValueError for a region outside the image.
+    time of the first, so 1 is for loops whose time must not vary. max_voters: of a part's points, at most so many vote.
+    on_answer: is told the points and the network's answer of the first look. Raises ValueError for a region outside the
+    image.
     """
     metadata = network.metadata
     watch = Stopwatch()
@@ -47,7 +63,8 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
             sample, depth_m = behind, sample.other_depth_m
             output = network.run(sample, _neighbours(sample))
             watch.stage("network")
-    pose = pose_from_output(metadata, sample, output, watch)
+    on_answer(sample, output)
+    pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
     if not metadata.mirrored or metadata.confidence is None:
         return pose
     looks = 1
@@ -60,7 +77,8 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
             again = mirrored_sample(again)
             output = network.run(again, _neighbours(again))
             watch.stage("network")
-            other = mirrored_pose(pose_from_output(metadata, again, output, watch), metadata.category)
+            found = pose_from_output(metadata, again, output, watch, max_voters=max_voters)
+            other = mirrored_pose(found, metadata.category)
             pose = max(pose, other, key=_mean_confidence)
             looks += 1
     return replace(pose, looks=looks)
