@@ -18,6 +18,8 @@ from page_runtime.commands.validation_tables import readable
 from page_runtime.content_hash import sha256_of
 from page_runtime.network import Network
 from page_runtime.recorded import Source
+from page_runtime.report.validation_page import validation_page
+from page_runtime.report.worst import worst_objects
 from page_runtime.validation.cluster import by_cluster
 from page_runtime.validation.comparison import Comparison
 from page_runtime.validation.processes import Done, WorkerLost, by_processes, one_after_the_other
@@ -69,10 +71,7 @@ def validate(
     if json is not None:
         write_json(json, document)
     if report is not None:
-        from page_runtime.report.validation import worst_frames
-        from page_runtime.report.validation_page import validation_page
-
-        worst = worst_frames(studies, comparisons, looks=looks, threads=threads)
+        worst = worst_objects(studies, comparisons, looks=looks, threads=threads)
         with text_output(report) as file:
             file.write(validation_page(document, comparisons, worst))
     sys.stdout.write(readable(document, paper=paper))

@@ -1,0 +1,173 @@
+"""Plots as SVG text: lines over two axes, and bars. Colours are the page's own, so they follow its light and dark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+WIDTH, HEIGHT = 460, 280
+_LEFT, _RIGHT, _TOP, _BOTTOM = 50, 12, 14, 44
+_COLOURS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """x, y (n,). low, high: of each point's interval, () for none. marked: with dots. dashed: a reference, in grey."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+    marked: bool = False
+    dashed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """label: with its unit. limits: None for those of the data. log: decades."""
+
+    label: str
+    limits: tuple[float, float] | None = None
+    log: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    low: float
+    high: float
+    start: float
+    end: float
+    log: bool
+
+    def __call__(self, value: float) -> float:
+        low, high = (np.log10(self.low), np.log10(self.high)) if self.log else (self.low, self.high)
+        at = np.log10(max(value, self.low)) if self.log else value
+        return self.start + (float(np.clip(at, low, high)) - low) / (high - low) * (self.end - self.start)
+
+
+def colour(index: int) -> str:
+    return f"var(--c{index % _COLOURS})"
+
+
+def line_chart(series: Sequence[Series], x: Axis, y: Axis) -> str:
+    """The series over two axes, with their names in a corner; an SVG element."""
+    across = _scale(x, [value for one in series for value in one.x], _LEFT, WIDTH - _RIGHT)
+    values = [value for one in series for value in (*one.y, *one.low, *one.high)]
+    up = _scale(y, values, HEIGHT - _BOTTOM, _TOP)
+    drawn = [_axes(across, up, x, y)]
+    coloured = iter(range(len(series)))
+    names: list[tuple[str, str]] = []
+    for one in series:
+        stroke = "var(--soft)" if one.dashed else colour(next(coloured))
+        names.append((one.name, stroke))
+        points = [(across(a), up(b)) for a, b in zip(one.x, one.y, strict=True)]
+        path = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in points)
+        dash = ' stroke-dasharray="4 4"' if one.dashed else ""
+        if points:
+            width = 1 if one.dashed else 1.8
+            drawn.append(f'<path d="{path}" fill="none" stroke="{stroke}" stroke-width="{width}"{dash}/>')
+        for a, low, high in zip(one.x, one.low, one.high, strict=False):
+            drawn.append(
+                f'<path d="M{across(a):.1f} {up(low):.1f}V{up(high):.1f}" stroke="{stroke}" stroke-width="1.2" '
+                'opacity=".55"/>'
+            )
+        if one.marked:
+            drawn += [f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{stroke}"/>' for a, b in points]
+    return _svg("".join(drawn) + _legend(names), HEIGHT)
+
+
+def cumulative(name: str, values: Sequence[float], count: int, limit: float) -> Series:
+    """The share of `count` whose value is at most x, up to `limit`; those without a value never are."""
+    ordered = np.sort(np.asarray(values, float))
+    steps = np.searchsorted(ordered, np.linspace(0.0, limit, 161), side="right") / max(1, count)
+    return Series(name, np.linspace(0.0, limit, 161).tolist(), steps.tolist())
+
+
+def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, mark: tuple[str, float] | None = None) -> str:
+    """A bar for each (name, value, whisker), the whisker at least the value. mark: a dashed line at a value."""
+    longest = max(*(high for _, _, high in rows), 0.0 if mark is None else mark[1], 1e-9) * 1.04
+    left, step = 96, 26
+    height = step * len(rows) + 30
+    scale = (WIDTH - left - 60) / longest
+    drawn = []
+    for i, (name, value, high) in enumerate(rows):
+        y = 8 + i * step
+        drawn.append(
+            f'<text x="{left - 8}" y="{y + 13}" text-anchor="end">{escape(name)}</text>'
+            f'<rect x="{left}" y="{y + 2}" width="{value * scale:.1f}" height="15" rx="2" fill="var(--c0)"/>'
+            f'<path d="M{left + value * scale:.1f} {y + 9.5}H{left + high * scale:.1f}" stroke="var(--soft)"/>'
+            f'<path d="M{left + high * scale:.1f} {y + 5}v9" stroke="var(--soft)"/>'
+            f'<text x="{left + high * scale + 6:.1f}" y="{y + 13}">{value:.1f} {escape(unit)}</text>'
+        )
+    if mark is not None:
+        at = left + mark[1] * scale
+        drawn.append(
+            f'<path d="M{at:.1f} 4V{height - 18}" stroke="var(--c1)" stroke-dasharray="4 4"/>'
+            f'<text x="{at:.1f}" y="{height - 5}" text-anchor="middle">{escape(mark[0])}</text>'
+        )
+    return _svg("".join(drawn), height)
+
+
+def _scale(axis: Axis, values: Sequence[float], start: float, end: float) -> _Scale:
+    if axis.limits is not None:
+        low, high = axis.limits
+    else:
+        known = [value for value in values if np.isfinite(value) and (value > 0 or not axis.log)] or [1.0]
+        low, high = (min(known), max(known)) if axis.log else (min(0.0, *known), max(known))
+        high = high * (1.25 if axis.log else 1.06)
+        low = low / 1.25 if axis.log else low
+    return _Scale(low, high if high > low else low + 1.0, start, end, axis.log)
+
+
+def _axes(across: _Scale, up: _Scale, x: Axis, y: Axis) -> str:
+    bottom, drawn = HEIGHT - _BOTTOM, []
+    for value in ticks(up):
+        at = up(value)
+        drawn.append(f'<path class="grid" d="M{_LEFT} {at:.1f}H{WIDTH - _RIGHT}"/>')
+        drawn.append(f'<text x="{_LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
+    for value in ticks(across):
+        at = across(value)
+        drawn.append(f'<path class="grid" d="M{at:.1f} {_TOP}V{bottom}"/>')
+        drawn.append(f'<text x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{value:g}</text>')
+    drawn.append(f'<path class="axis" d="M{_LEFT} {bottom}H{WIDTH - _RIGHT}"/>')
+    middle = (_LEFT + WIDTH - _RIGHT) / 2
+    drawn.append(f'<text x="{middle}" y="{HEIGHT - 8}" text-anchor="middle">{escape(x.label)}</text>')
+    high = (_TOP + bottom) / 2
+    drawn.append(f'<text transform="translate(12 {high}) rotate(-90)" text-anchor="middle">{escape(y.label)}</text>')
+    return "".join(drawn)
+
+
+def ticks(scale: _Scale) -> list[float]:
+    """Round values within a scale, four to eight of them; of a logarithmic one 1, 2 and 5 times powers of ten."""
+    if scale.log:
+        powers = range(int(np.floor(np.log10(scale.low))), int(np.ceil(np.log10(scale.high))) + 1)
+        return [m * 10.0**p for p in powers for m in (1, 2, 5) if scale.low <= m * 10.0**p <= scale.high]
+    rough = (scale.high - scale.low) / 5
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = float(min((m * power for m in (1, 2, 5, 10)), key=lambda one: abs(one - rough)))
+    first, last = int(np.ceil(scale.low / step - 1e-9)), int(np.floor(scale.high / step + 1e-9))
+    return [round(step * i, 12) for i in range(first, last + 1)]
+
+
+def _legend(names: Sequence[tuple[str, str]]) -> str:
+    """In the lower right corner, where distributions are empty, on a plate of the page's colour."""
+    shown = [(name, stroke) for name, stroke in names if name]
+    if not shown:
+        return ""
+    width = 30 + 6.1 * max(len(name) for name, _ in shown)
+    x, y = WIDTH - _RIGHT - 8 - width, HEIGHT - _BOTTOM - 8 - 16 * len(shown)
+    rows = "".join(
+        f'<path d="M{x + 6:.0f} {y + 10 + 16 * i}h14" stroke="{stroke}" stroke-width="2.4"/>'
+        f'<text x="{x + 25:.0f}" y="{y + 14 + 16 * i}">{escape(name)}</text>'
+        for i, (name, stroke) in enumerate(shown)
+    )
+    plate = f'<rect x="{x:.0f}" y="{y - 2}" width="{width:.0f}" height="{16 * len(shown) + 6}" rx="3"'
+    return f'{plate} fill="var(--paper)" opacity=".85"/>{rows}'
+
+
+def _svg(content: str, height: float) -> str:
+    return f'<svg viewBox="0 0 {WIDTH} {height:.0f}" role="img">{content}</svg>'
