@@ -27,8 +27,8 @@ MAY_IMPORT = {
     "page_export": {"page_training", "page_runtime"},
     "page_calibration": {"page_runtime"},
 }
-HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai", "rosbags", "mcap", "mcap_protobuf"}
-ONLY_IMPORTER = {"onnxruntime": "network.py", "depthai": "capture/oak.py"}
+HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai", "rosbags", "mcap", "mcap_protobuf", "distributed", "dask"}
+ONLY_IMPORTER = {"onnxruntime": "network.py", "depthai": "capture/oak.py", "distributed": "validation/cluster.py"}
 ONLY_IMPORTER_OF_TRAINING = {
     "open3d": "scenes/render.py",
     "trimesh": "own/surfaces.py",

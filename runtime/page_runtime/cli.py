@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
+from page_runtime.commands.bench_options import add_bench_options
 from page_runtime.commands.usage import UsageError
 from page_runtime.commands.validate_options import add_validate_options
 
@@ -35,8 +36,8 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 2 bad input (no file was written), 3 no camera, 130
-    interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 1 bench --compare found a slower run or none that proves
+    anything, 2 bad input (no file was written), 3 no camera, 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -63,7 +64,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     from page_runtime.image_files import SourceError
 
     try:
-        getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
+        code = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
     except DeviceUnavailable as error:
         return _refuse(error, code=EXIT_NO_CAMERA)
     except (BundleError, SourceError) as error:
@@ -72,7 +73,7 @@ def _call(command: str, options: dict[str, object]) -> int:
         raise
     except OSError as error:
         return _refuse(error)
-    return 0
+    return code or 0
 
 
 def _refuse(error: Exception, *, code: int = EXIT_BAD_INPUT) -> int:
@@ -125,11 +126,12 @@ def _parser() -> argparse.ArgumentParser:
     def limited(sub: argparse.ArgumentParser) -> None:
         sub.add_argument("--frames", metavar="N", type=_count, default=0, help="stop after N frames (default: all)")
 
-    def common(sub: argparse.ArgumentParser, *, several: bool = False) -> None:
-        more = {"action": "append", "help": "the category's .onnx file; one for each category"} if several else {}
-        sub.add_argument(
-            "--bundle", metavar="B", type=Path, required=True, **{"help": "the category's .onnx file", **more}
+    def common(sub: argparse.ArgumentParser, *, several: bool = False, required: bool = True) -> None:
+        bundle_help = (
+            "the category's .onnx file; again for another category" if several else "the category's .onnx file"
         )
+        kind = "append" if several else "store"
+        sub.add_argument("--bundle", metavar="B", type=Path, required=required, action=kind, help=bundle_help)
         sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
         sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
@@ -150,9 +152,9 @@ def _parser() -> argparse.ArgumentParser:
     validate = commands.add_parser("validate", help="compare with the truth of recordings", description=validate_help)
     add_validate_options(validate, overlay_help)
     common(validate, several=True)
-    bench = command("bench", "time every stage", "recording", "a folder of RGB-D frames with regions")
-    bench.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
-    common(bench)
+    bench = commands.add_parser("bench", help="time every stage", description="time every stage")
+    add_bench_options(bench)
+    common(bench, required=False)
     inspect = command("inspect", "say what a bundle holds", "bundle", "a .onnx file", Path)
     inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
     devices = commands.add_parser("devices", help="list the cameras", description="list the cameras that answer")

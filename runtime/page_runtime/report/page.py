@@ -35,7 +35,9 @@ th { color: var(--soft); font-weight: 500; cursor: pointer; user-select: none; p
   background: var(--paper); vertical-align: bottom; }
 th:hover { color: var(--ink); } th[aria-sort=ascending]::after { content: " \\2191"; }
 th[aria-sort=descending]::after { content: " \\2193"; }
-td.words, th.words { text-align: left; } td:first-child, th:first-child { text-align: left; padding-left: 0; } td small { color: var(--soft); }
+td.words, th.words { text-align: left; }
+td:first-child, th:first-child { text-align: left; padding-left: 0; }
+td small { color: var(--soft); }
 td.wide { white-space: normal; min-width: 16rem; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(21rem, 1fr)); gap: 1.2rem; margin: .8rem 0; }
 figure { margin: 0; } figcaption { color: var(--soft); font-size: .84rem; margin-top: .35rem; line-height: 1.4; }

@@ -48,12 +48,12 @@ def validation_page(
 
 
 def _summary(document: dict[str, Any]) -> str:
-    rows = []
+    found = []
     for category in document["categories"]:
         name = f"{category['name']}, " if len(document["categories"]) > 1 else ""
         interval = category["share_ci95"]["failure_rate"]
         bounds = "" if interval is None else f"95 %: {100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
-        rows += [
+        rows = [
             (f"{name}failures", _percent(category["failure_rate"]), bounds),
             (f"{name}5 deg 5 cm", _percent(category["acc_5deg5cm"]), f"of {category['visible']} visible parts"),
             (f"{name}rotation, median", _text(category["rotation_deg"]["median"], 2, "°"), "of parts with a pose"),
@@ -63,7 +63,8 @@ def _summary(document: dict[str, Any]) -> str:
         if category["segmentation"]["accuracy_on_object"] is not None:
             right = category["segmentation"]["accuracy_on_object"]
             rows.append((f"{name}points of the right part", _percent(right), "of those on the object"))
-    return cards(rows)
+        found.append(cards(rows))
+    return "".join(found)
 
 
 def _percent(value: float | None) -> str:
@@ -91,8 +92,8 @@ def _share(figures: dict[str, Any], name: str) -> Cell:
 
 
 _PART_HEADER = (
-    "visible", "no pose", "failures, %", "rotation, deg", "median", "p95", "translation, mm", "median", "p95", "% of diag.", "IoU",
-    "5°5cm, %", "10°10cm, %", "IoU50, %",
+    "visible", "no pose", "failures, %", "rotation, deg", "median", "p95", "translation, mm", "median", "p95",
+    "% of diag.", "IoU", "5°5cm, %", "10°10cm, %", "IoU50, %",
 )  # fmt: skip
 
 
