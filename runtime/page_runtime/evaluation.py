@@ -4,6 +4,7 @@ Rotation errors are geodesic angles, neither folded nor capped. What is counted:
 
 - Parts whose truth says that less than VISIBLE_SHARE of them can be seen are left out (a truth without a visible share
   counts as visible).
+- A pose that is not finite counts as missing.
 - A missing pose has IoU 0 and is a failure; it has no rotation, translation or keypoint error.
 - Of the true poses that look the same (`equivalents`) the one nearest to the estimate is the truth.
 - A failure is a missing pose, or one worse than FAILURE_ROTATION_RAD or FAILURE_SHARE of the part's true diagonal.
@@ -89,6 +90,9 @@ def _part_error(part: Part, estimate: PartPose | NotSeen, truth: PartTruth) -> P
     diagonal_m = float(np.linalg.norm(truth.extents_m))
     if isinstance(estimate, NotSeen):
         return PartError(truth.name, None, None, 0.0, diagonal_m, truth.visible_share, reason=estimate.reason)
+    if not (np.isfinite(estimate.T_camera_part).all() and np.isfinite(estimate.extents_m).all()):
+        reason = "the pose is not finite"
+        return PartError(truth.name, None, None, 0.0, diagonal_m, truth.visible_share, reason=reason)
     apart = np.linalg.norm(estimate.keypoints_camera - true_keypoints(part, truth), axis=1)
     return PartError(
         name=truth.name,

@@ -16,7 +16,7 @@ def bench_page(document: dict[str, Any], windows: Sequence[Window]) -> str:
     """The whole page. document: as `page-runtime bench --json` writes it; windows: the timings behind it."""
     subtitle = (
         f"{document['measurements']} estimates of {document['frames']} frames in {len(windows)} windows, bundle "
-        f"{document['bundle']}, {document['threads']} threads of {document['cpu']}"
+        f"{document['bundle']}, threads {document['threads']}, {document['cpu']}"
     )
     sections = [("", _summary(document)), ("Stages", _stages(document)), ("Over time", _over_time(document, windows))]
     sections += [(f"Sweep: {sweep['what']}", _sweep(sweep)) for sweep in document["sweeps"]]
@@ -75,9 +75,7 @@ def _over_time(document: dict[str, Any], windows: Sequence[Window]) -> str:
     # One estimate that the system held up must not flatten all others.
     high = max(float(np.percentile(every, 99)) * 1.35, float(np.median(every)) * 1.5)
     lines = line_chart(series, Axis("estimate"), Axis("total, ms", (0.0, high)))
-    shares = [
-        cumulative(one.name, list(one.y), len(one.y), high) for one in series
-    ]  # fmt: skip
+    shares = [cumulative(one.name, list(one.y), len(one.y), high) for one in series]
     spread = line_chart(shares, Axis("total, ms", (0.0, high)), Axis("share of estimates", (0.0, 1.0)))
     apart = f"{100 * document['stability']['spread']:.1f} %"
     return plots([
@@ -104,7 +102,7 @@ def _sweep(sweep: dict[str, Any]) -> str:
         drawn.append((line_chart([errors], label, Axis("rotation error, deg")), "Rotation error over all parts."))
     rows: list[list[str | Cell]] = [
         [
-            figure_cell(step["value"], 2),
+            Cell(f"{step['value']:g}", step["value"]),
             figure_cell(step["total"]["p50_ms"], 1),
             figure_cell(step["total"]["p95_ms"], 1),
             figure_cell((step["errors"] or {}).get("rotation_deg"), 2),

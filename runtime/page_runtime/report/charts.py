@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 WIDTH, HEIGHT = 460, 280
-_LEFT, _RIGHT, _TOP, _BOTTOM = 50, 12, 14, 44
+_LEFT, _RIGHT, _TOP, _BOTTOM = 50, 12, 26, 44
 _COLOURS = 7
 
 
@@ -54,7 +54,7 @@ def colour(index: int) -> str:
 
 
 def line_chart(series: Sequence[Series], x: Axis, y: Axis) -> str:
-    """The series over two axes, with their names in a corner; an SVG element."""
+    """The series over two axes, with their names above; an SVG element."""
     across = _scale(x, [value for one in series for value in one.x], _LEFT, WIDTH - _RIGHT)
     values = [value for one in series for value in (*one.y, *one.low, *one.high)]
     up = _scale(y, values, HEIGHT - _BOTTOM, _TOP)
@@ -91,7 +91,7 @@ def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, mark: tupl
     """A bar for each (name, value, whisker), the whisker at least the value. mark: a dashed line at a value."""
     longest = max(*(high for _, _, high in rows), 0.0 if mark is None else mark[1], 1e-9) * 1.04
     left, step = 96, 26
-    height = step * len(rows) + 30
+    height = step * len(rows) + (30 if mark else 10)
     scale = (WIDTH - left - 60) / longest
     drawn = []
     for i, (name, value, high) in enumerate(rows):
@@ -154,19 +154,16 @@ def ticks(scale: _Scale) -> list[float]:
 
 
 def _legend(names: Sequence[tuple[str, str]]) -> str:
-    """In the lower right corner, where distributions are empty, on a plate of the page's colour."""
-    shown = [(name, stroke) for name, stroke in names if name]
-    if not shown:
-        return ""
-    width = 30 + 6.1 * max(len(name) for name, _ in shown)
-    x, y = WIDTH - _RIGHT - 8 - width, HEIGHT - _BOTTOM - 8 - 16 * len(shown)
-    rows = "".join(
-        f'<path d="M{x + 6:.0f} {y + 10 + 16 * i}h14" stroke="{stroke}" stroke-width="2.4"/>'
-        f'<text x="{x + 25:.0f}" y="{y + 14 + 16 * i}">{escape(name)}</text>'
-        for i, (name, stroke) in enumerate(shown)
-    )
-    plate = f'<rect x="{x:.0f}" y="{y - 2}" width="{width:.0f}" height="{16 * len(shown) + 6}" rx="3"'
-    return f'{plate} fill="var(--paper)" opacity=".85"/>{rows}'
+    """In a row above the plot, where it hides nothing."""
+    drawn, x = [], float(_LEFT)
+    for name, stroke in names:
+        if name:
+            drawn.append(
+                f'<path d="M{x:.0f} 9h14" stroke="{stroke}" stroke-width="2.4"/>'
+                f'<text x="{x + 19:.0f}" y="13">{escape(name)}</text>'
+            )
+            x += 34 + 6.0 * len(name)
+    return "".join(drawn)
 
 
 def _svg(content: str, height: float) -> str:

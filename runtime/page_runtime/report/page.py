@@ -39,7 +39,7 @@ td.words, th.words { text-align: left; }
 td:first-child, th:first-child { text-align: left; padding-left: 0; }
 td small { color: var(--soft); }
 td.wide { white-space: normal; min-width: 16rem; }
-.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(21rem, 1fr)); gap: 1.2rem; margin: .8rem 0; }
+.plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(27rem, 1fr)); gap: 1.2rem; margin: .8rem 0; }
 figure { margin: 0; } figcaption { color: var(--soft); font-size: .84rem; margin-top: .35rem; line-height: 1.4; }
 svg { width: 100%; height: auto; display: block; } svg text { fill: var(--soft); font-size: 11px; }
 svg .axis { stroke: var(--soft); stroke-width: 1; } svg .grid { stroke: var(--rule); stroke-width: 1; }
