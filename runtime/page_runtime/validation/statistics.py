@@ -110,4 +110,5 @@ def share_interval(hits: Sequence[bool]) -> list[float] | None:
     p = float(np.mean(hits))
     middle = (p + _Z**2 / (2 * count)) / (1 + _Z**2 / count)
     half = _Z * np.sqrt(p * (1 - p) / count + _Z**2 / (4 * count**2)) / (1 + _Z**2 / count)
-    return [float(max(0.0, middle - half)), float(min(1.0, middle + half))]
+    # Rounding may leave the share itself outside where all or none are hits.
+    return [float(np.clip(middle - half, 0.0, p)), float(np.clip(middle + half, p, 1.0))]
