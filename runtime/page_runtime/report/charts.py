@@ -87,11 +87,11 @@ def cumulative(name: str, values: Sequence[float], count: int, limit: float) -> 
     return Series(name, np.linspace(0.0, limit, 161).tolist(), steps.tolist())
 
 
-def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, mark: tuple[str, float] | None = None) -> str:
-    """A bar for each (name, value, whisker), the whisker at least the value. mark: a dashed line at a value."""
-    longest = max(*(high for _, _, high in rows), 0.0 if mark is None else mark[1], 1e-9) * 1.04
-    left, step = 96, 26
-    height = step * len(rows) + (30 if mark else 10)
+def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, label_px: int = 96) -> str:
+    """A bar for each (name, value, whisker), the whisker at least the value. label_px: room for the names."""
+    longest = max(*(high for _, _, high in rows), 1e-9) * 1.04
+    left, step = label_px, 26
+    height = step * len(rows) + 10
     scale = (WIDTH - left - 60) / longest
     drawn = []
     for i, (name, value, high) in enumerate(rows):
@@ -102,12 +102,6 @@ def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, mark: tupl
             f'<path d="M{left + value * scale:.1f} {y + 9.5}H{left + high * scale:.1f}" stroke="var(--soft)"/>'
             f'<path d="M{left + high * scale:.1f} {y + 5}v9" stroke="var(--soft)"/>'
             f'<text x="{left + high * scale + 6:.1f}" y="{y + 13}">{value:.1f} {escape(unit)}</text>'
-        )
-    if mark is not None:
-        at = left + mark[1] * scale
-        drawn.append(
-            f'<path d="M{at:.1f} 4V{height - 18}" stroke="var(--c1)" stroke-dasharray="4 4"/>'
-            f'<text x="{at:.1f}" y="{height - 5}" text-anchor="middle">{escape(mark[0])}</text>'
         )
     return _svg("".join(drawn), height)
 
