@@ -136,7 +136,7 @@ TABLE_7 = PaperTable("VII", "weights of the KP-Estimator's losses", "ArtImage, s
     Row("scissors", "lambda 0.8, 0.1, 0.1", (1.9, 5.3), (0.014, 0.032)),
 ))  # fmt: skip
 
-# By how much of a part is visible, as its rows are headed; the text beside it speaks of occlusion.
+# By how much of a part is hidden: its heading says visibility too, its text calls the last row the extreme occlusion.
 TABLE_8 = PaperTable("VIII", "self-occlusion", "ArtImage, drawer", (
     Row("drawer", "0 to 40 %", (2.2,), (0.013,)),
     Row("drawer", "40 to 80 %", (2.7,), (0.013,)),

@@ -108,11 +108,10 @@ def _of_validation(one: dict[str, Any]) -> Iterator[Figure]:
         accuracy = document["categories"][0]["segmentation"]["accuracy_on_object"]
         if number == "IV" and accuracy is not None:
             yield Figure(number, category, row, HERE, data, "all", METRICS[3], 100 * accuracy)
-    # The paper's levels are by what is visible.
     for part in document["parts"]:
         for level in part["by_occlusion"]:
             hidden = level["occlusion"]
-            row = f"{100 * (1 - hidden[1]):.0f} to {100 * (1 - hidden[0]):.0f} %"
+            row = f"{100 * hidden[0]:.0f} to {100 * hidden[1]:.0f} %"
             yield from _of_part(TABLE_8.number, category, row, data, {**level, "name": part["name"]})
 
 
