@@ -21,7 +21,7 @@ from page_runtime.cli import main
 from page_runtime.content_hash import sha256_of
 from page_runtime.recording import RecordingWriter
 from page_runtime.validation import work
-from page_runtime.validation.cluster import ClusterUnavailable, by_cluster
+from page_runtime.validation.cluster import ClusterUnavailable, by_cluster, do_as_here
 from page_runtime.validation.comparison import Comparison, comparison_document, comparison_from
 from page_runtime.validation.processes import by_processes, one_after_the_other
 from page_runtime.validation.results import ResultsFolder
@@ -191,6 +191,11 @@ def test_a_worker_of_a_cluster_that_is_killed_loses_no_result(
                 os.kill(workers[0], signal.SIGKILL)
             found[task] = result
     assert found == expected
+
+
+def test_a_worker_that_runs_other_code_gives_no_result(expected: dict[Task, tuple[Comparison, ...]]) -> None:
+    with pytest.raises(ClusterUnavailable, match="runs another version of page_runtime"):
+        do_as_here(next(iter(expected)), "of other code")
 
 
 def test_a_cluster_that_does_not_answer_is_a_sentence(

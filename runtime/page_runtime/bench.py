@@ -62,6 +62,14 @@ def time_windows(
     """
     measured = energy_counters() if counters is None else counters
     found: list[Window] = []
+    in_a_window = 0
+
+    def told(frames: int) -> None:
+        # The first pass of a later window knows less than what the first window has found out.
+        nonlocal in_a_window
+        in_a_window = max(in_a_window, frames)
+        on_frame(windows * in_a_window)
+
     for number in range(windows):
         before = [counter.read_uj() for counter in measured]
         timings, left_out = time_estimates(
@@ -71,7 +79,7 @@ def time_windows(
             max_looks=max_looks,
             max_voters=max_voters,
             warm_up=WARM_UP if number == 0 else 0,
-            on_frame=lambda frames: on_frame(windows * frames),
+            on_frame=told,
         )
         used = [counter.used_j(old, counter.read_uj()) for counter, old in zip(measured, before, strict=True)]
         found.append(Window(tuple(timings), left_out, sum(used) if measured else None))

@@ -64,7 +64,7 @@ def run_sweep(
     on_step: Callable[[], None] = lambda: None,
 ) -> list[dict[str, Any]]:
     """Of each value its times, and where the source has truth its errors. load: the bundle with so many threads."""
-    found = []
+    found, opencv_threads = [], cv2.getNumThreads()
     for value in sweep.values:
         settings: dict[str, Any] = {"max_looks": max_looks, "max_voters": MAX_VOTERS}
         swept, frames = network, source
@@ -88,6 +88,7 @@ def run_sweep(
             "errors": _errors(swept, frames, settings) if source.has_truth else None,
         })  # fmt: skip
         on_step()
+    cv2.setNumThreads(opencv_threads)
     return found
 
 

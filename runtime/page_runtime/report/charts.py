@@ -28,11 +28,10 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """label: with its unit. limits: None for those of the data. log: decades."""
+    """label: with its unit. limits: None for those of the data, 0 among them."""
 
     label: str
     limits: tuple[float, float] | None = None
-    log: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +40,10 @@ class _Scale:
     high: float
     start: float
     end: float
-    log: bool
 
     def __call__(self, value: float) -> float:
-        low, high = (np.log10(self.low), np.log10(self.high)) if self.log else (self.low, self.high)
-        at = np.log10(max(value, self.low)) if self.log else value
-        return self.start + (float(np.clip(at, low, high)) - low) / (high - low) * (self.end - self.start)
+        inside = float(np.clip(value, self.low, self.high))
+        return self.start + (inside - self.low) / (self.high - self.low) * (self.end - self.start)
 
 
 def colour(index: int) -> str:
@@ -110,11 +107,8 @@ def _scale(axis: Axis, values: Sequence[float], start: float, end: float) -> _Sc
     if axis.limits is not None:
         low, high = axis.limits
     else:
-        known = [value for value in values if np.isfinite(value) and (value > 0 or not axis.log)] or [1.0]
-        low, high = (min(known), max(known)) if axis.log else (min(0.0, *known), max(known))
-        high = high * (1.25 if axis.log else 1.06)
-        low = low / 1.25 if axis.log else low
-    return _Scale(low, high if high > low else low + 1.0, start, end, axis.log)
+        low, high = min(0.0, *values), 1.06 * max(0.0, *values)
+    return _Scale(low, high if high > low else low + 1.0, start, end)
 
 
 def _axes(across: _Scale, up: _Scale, x: Axis, y: Axis) -> str:
@@ -136,10 +130,7 @@ def _axes(across: _Scale, up: _Scale, x: Axis, y: Axis) -> str:
 
 
 def ticks(scale: _Scale) -> list[float]:
-    """Round values within a scale, four to eight of them; of a logarithmic one 1, 2 and 5 times powers of ten."""
-    if scale.log:
-        powers = range(int(np.floor(np.log10(scale.low))), int(np.ceil(np.log10(scale.high))) + 1)
-        return [m * 10.0**p for p in powers for m in (1, 2, 5) if scale.low <= m * 10.0**p <= scale.high]
+    """Round values within a scale, four to eight of them."""
     rough = (scale.high - scale.low) / 5
     power = 10.0 ** np.floor(np.log10(rough))
     step = float(min((m * power for m in (1, 2, 5, 10)), key=lambda one: abs(one - rough)))

@@ -7,8 +7,11 @@ workers see recordings and bundles under the same paths.
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator, Sequence
 
+from page_runtime.content_hash import own_code_sha256
+from page_runtime.validation.comparison import Comparison
 from page_runtime.validation.processes import Done, WorkerLost
 from page_runtime.validation.work import Task, do
 
@@ -16,7 +19,17 @@ CONNECT_TIMEOUT_S = 15
 
 
 class ClusterUnavailable(OSError):
-    """No scheduler answers, or the extra is not installed; the message says which."""
+    """No scheduler answers, the extra is not installed, or a worker runs other code; the message says which."""
+
+
+def do_as_here(task: Task, code_sha256: str) -> tuple[Comparison, ...]:
+    """The task's result by a worker, which must run the code that the caller runs: results of two versions are not
+    mixed."""
+    if own_code_sha256() != code_sha256:
+        raise ClusterUnavailable(
+            f"--cluster: the worker on {platform.node()} runs another version of page_runtime; install the same there"
+        )
+    return do(task)
 
 
 def by_cluster(tasks: Sequence[Task], address: str) -> Iterator[Done]:
@@ -35,7 +48,7 @@ def by_cluster(tasks: Sequence[Task], address: str) -> Iterator[Done]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ClusterUnavailable(f"--cluster: no Dask scheduler answers at {address} ({reason})") from error
     with client:
-        futures = {client.submit(do, task, pure=False): task for task in tasks}
+        futures = {client.submit(do_as_here, task, own_code_sha256(), pure=False): task for task in tasks}
         for future in as_completed(list(futures)):
             task = futures.pop(future)
             try:

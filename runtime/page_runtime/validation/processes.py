@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -50,7 +51,13 @@ def by_processes(tasks: Sequence[Task], processes: int) -> Iterator[Done]:
 
 def _one_pool(tasks: Sequence[Task], processes: int) -> Iterator[Done]:
     # Fresh interpreters: a fork of a process that runs onnxruntime's threads may hang.
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        # Ctrl-C goes to the whole group; this process alone answers it, and lets them finish what they are at.
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    ) as pool:
         running: dict[Future[tuple[Comparison, ...]], Task] = {pool.submit(do, task): task for task in tasks}
         try:
             while running:
