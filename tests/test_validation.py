@@ -27,12 +27,12 @@ from page_runtime.validation.processes import by_processes, one_after_the_other
 from page_runtime.validation.results import ResultsFolder
 from page_runtime.validation.work import Task, do, split
 
-FRAMES = 47
+FRAMES = 25
 
 
 @pytest.fixture(scope="module")
 def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three pieces of work: frames of the toy that differ in their noise, some of them blind. Read only."""
+    """Two pieces of work: frames of the toy that differ in their noise, some of them blind. Read only."""
     rng = np.random.default_rng(0)
     recorded, masks = toy.toy_frame(toy.toy_camera(160, 120))
     path = tmp_path_factory.mktemp("long") / "toy"
@@ -50,7 +50,7 @@ def tasks_of(recording: Path, bundle: Path) -> list[Task]:
     hashes = sha256_of(recording), sha256_of(bundle)
     return [
         Task(str(recording), hashes[0], str(bundle), hashes[1], first, last, looks=1, window_s=0.02, threads=1)
-        for first, last in split(FRAMES)
+        for first, last in split(FRAMES, 5)
     ]
 
 
@@ -75,7 +75,7 @@ def test_the_document_is_the_same_to_the_byte_again_by_two_processes_and_from_ke
     kept = ["--processes", "2", "--results", str(results)]
     assert validate(recordings, oracle_bundle, tmp_path / "3.json", *kept) == first
     (folder,) = results.iterdir()
-    assert len(list(folder.iterdir())) == 3
+    assert len(list(folder.iterdir())) == 2
     files = sorted(folder.iterdir())
     files[0].unlink()
     files[1].write_text(files[1].read_text()[:100])
@@ -84,12 +84,12 @@ def test_the_document_is_the_same_to_the_byte_again_by_two_processes_and_from_ke
         "page_runtime.validation.processes.do", lambda task, on_frame: (done.append(task), do(task, on_frame))[1]
     )
     assert validate(recordings, oracle_bundle, tmp_path / "4.json", "--results", str(results)) == first
-    assert [(task.first, task.last) for task in done] == [(0, 20), (20, 40)]
+    assert [(task.first, task.last) for task in done] == [(0, 20), (20, 25)]
     assert validate(recordings, oracle_bundle, tmp_path / "5.json", "--results", str(results)) == first
     assert len(done) == 2
     # Another setting is other work.
     validate(recordings, oracle_bundle, tmp_path / "6.json", "--results", str(results), "--symmetry", "lid=z:2")
-    assert len(done) == 5
+    assert len(done) == 4
 
 
 def test_the_seed_is_of_the_intervals_alone(long_recording: Path, oracle_bundle: Path, tmp_path: Path) -> None:
@@ -154,7 +154,8 @@ def test_results_are_of_one_bundle_and_setting(
     assert folder.kept(task) == found
     from dataclasses import replace
 
-    assert folder.kept(replace(task, threads=7, recording="/elsewhere/toy")) == found
+    assert folder.kept(replace(task, recording="/elsewhere/toy")) == found
+    assert folder.kept(replace(task, threads=7)) is None
     assert folder.kept(replace(task, looks=2)) is None
     assert folder.kept(replace(task, bundle_sha256="0" * 64)) is None
     monkeypatch.setattr("page_runtime.validation.results.own_code_sha256", lambda: "other code")
@@ -211,9 +212,8 @@ def test_a_cluster_that_does_not_answer_is_a_sentence(
 
 
 def test_an_interrupted_validation_goes_on_where_it_was(
-    long_recording: Path, oracle_bundle: Path, tmp_path: Path, expected: dict[Task, tuple[Comparison, ...]]
+    long_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
-    del expected
     results = tmp_path / "results"
     command = [sys.executable, "-m", "page_runtime", "validate", str(long_recording), "--bundle", str(oracle_bundle)]
     process = subprocess.Popen(
@@ -221,7 +221,7 @@ def test_an_interrupted_validation_goes_on_where_it_was(
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if "frame 28" in line or "frame 24" in line:
+        if "frame 22" in line:
             process.send_signal(signal.SIGINT)
             break
     process.communicate(timeout=60)
@@ -229,7 +229,7 @@ def test_an_interrupted_validation_goes_on_where_it_was(
     assert [path.name for path in results.rglob("*.json")] == ["000000-000020.json"]
     again = subprocess.run([*command, "--results", str(results)], capture_output=True, text=True, check=True)
     assert "20 frames were done before" in again.stderr
-    assert "frame 27 of 27" in again.stderr
+    assert "frame 5 of 5" in again.stderr
 
 
 BAD_CALLS: dict[str, tuple[list[str], str]] = {

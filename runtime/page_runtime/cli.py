@@ -132,7 +132,10 @@ def _parser() -> argparse.ArgumentParser:
         )
         kind = "append" if several else "store"
         sub.add_argument("--bundle", metavar="B", type=Path, required=required, action=kind, help=bundle_help)
-        sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
+        default = "1 a process, as figures depend on it a little" if several else "all"
+        sub.add_argument(
+            "--threads", metavar="N", type=_count, default=0, help=f"at most N threads (default: {default})"
+        )
         sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
         pairs(sub)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from page_runtime.commands.inputs import available_threads, load_network, require_fitting, require_region
+from page_runtime.commands.inputs import load_network, require_fitting, require_region
 from page_runtime.commands.outputs import require_file_place, require_folder_place, text_output, write_json
 from page_runtime.commands.sources import open_recorded
 from page_runtime.commands.terminal import Progress
@@ -27,6 +27,10 @@ from page_runtime.validation.results import ResultsFolder
 from page_runtime.validation.study import Study, document_of
 from page_runtime.validation.symmetry_choice import SymmetryChoice, symmetry_choice, with_symmetries
 from page_runtime.validation.work import Task
+
+# Of each process, where --threads does not say otherwise. onnxruntime adds up in another order with another number, and
+# the same recording shall have the same figures whatever the machine has and however many processes share the work.
+THREADS = 1
 
 
 def validate(
@@ -54,7 +58,7 @@ def validate(
     if cluster is not None and (processes > 1 or overlay is not None):
         raise UsageError("--cluster: it has its own processes and draws no pictures; leave --processes, --overlay out")
     choices = _choices(symmetry)
-    threads = threads or max(1, available_threads() // processes)
+    threads = threads or THREADS
     studies = _studies(recordings, bundle, threads=threads, looks=looks, window_s=window_s, choices=choices)
     for path, option in ((json, "--json"), (report, "--report")):
         require_file_place(path, option=option)

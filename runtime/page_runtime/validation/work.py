@@ -55,7 +55,7 @@ class Task:
     def identity(self) -> dict[str, object]:
         """What the result depends on, and nothing else: not where the files lie, nor who does it."""
         described = asdict(self)
-        for name in ("recording", "bundle", "pictures", "threads"):
+        for name in ("recording", "bundle", "pictures"):
             described.pop(name)
         return described
 
