@@ -11,6 +11,8 @@ import numpy as np
 WIDTH, HEIGHT = 460, 280
 _LEFT, _RIGHT, _TOP, _BOTTOM = 50, 12, 26, 44
 _COLOURS = 7
+# Values closer together than this are drawn as one: nothing measured here is smaller.
+_LEAST_RANGE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,7 @@ def _scale(axis: Axis, values: Sequence[float], start: float, end: float) -> _Sc
         low, high = axis.limits
     else:
         low, high = min(0.0, *values), 1.06 * max(0.0, *values)
-    return _Scale(low, high if high > low else low + 1.0, start, end)
+    return _Scale(low, high if high - low > _LEAST_RANGE else low + 1.0, start, end)
 
 
 def _axes(across: _Scale, up: _Scale, x: Axis, y: Axis) -> str:
