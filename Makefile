@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 OUT := demo-output
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench tables clean
 
 $(BIN)/pip:
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "page-edge needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -43,6 +43,10 @@ lint: $(VENV)/.dev
 bench: $(VENV)/.dev
 	@mkdir -p benchmarks/results
 	$(BIN)/page-runtime bench tests/data/laptop --bundle runtime/bundles/laptop.onnx --json benchmarks/results/latency-laptop.json
+
+# Hours on two cores where nothing is kept yet; interrupt it, and the same command goes on.
+tables: $(VENV)/.dev
+	$(BIN)/python benchmarks/paper_tables.py
 
 clean:
 	rm -rf $(VENV) $(OUT)

@@ -25,7 +25,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from page_runtime.bench import cpu_name, versions
 from page_runtime.camera import Camera
 from page_runtime.capture.conversion import frame_writer
 from page_runtime.capture.frame_service import LiveFrame
@@ -40,6 +39,7 @@ from page_runtime.depth_registration import registered_frame, registration_betwe
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import transform_from
 from page_runtime.lens import Distortion, RawCamera
+from page_runtime.machine import cpu_name, versions
 from page_runtime.recorded import RecordedFrame
 
 EXIT_BAD_INPUT = 2

@@ -39,8 +39,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from page_export.calibration import calibration_error, examples_from, joined, reliability
+    from page_export.calibration import examples_from, joined
     from page_runtime.network import Network
+    from page_runtime.validation.reliability import calibration_error, reliability
 
     require_file_place(options.json, option="--json")
     require_file_place(options.picture, option="--picture")

@@ -16,8 +16,9 @@ from benchmarks.steps import (
 from benchmarks.synthetic import KEYPOINT_DISTANCE_M
 from benchmarks.trials import RULES
 
-from page_runtime.bench import PACKAGES, PAPER_MS, cpu_name, versions
+from page_runtime.bench import PAPER_MS
 from page_runtime.commands.outputs import write_json
+from page_runtime.machine import PACKAGES, cpu_name, versions
 
 ROOT = Path(__file__).resolve().parents[1]
 # A result is of these sources; when they change it is measured again.

@@ -19,12 +19,12 @@ from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import sample_for
-from page_runtime.evaluation import figures_of
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network
 from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import ArticulatedPose, not_seen
 from page_runtime.recorded import PartTruth, Source
+from page_runtime.validation.figures import figures_of
 
 ROOT = Path(__file__).resolve().parents[1]
 EXIT_BAD_INPUT = 2

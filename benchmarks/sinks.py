@@ -21,13 +21,13 @@ import cv2
 import numpy as np
 
 from page_runtime import Network, estimate, open_source
-from page_runtime.bench import cpu_name, versions
 from page_runtime.bundle import BundleError
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.image_files import SourceError
 from page_runtime.live.result import LiveObject, LiveResult, LoopCounts
+from page_runtime.machine import cpu_name, versions
 from page_runtime.sinks.json_lines import UdpSink, line_file
 from page_runtime.sinks.mcap import McapSink
 from page_runtime.sinks.rerun_log import RrdSink

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from page_runtime.bench import cpu_name, versions
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import Progress
 from page_runtime.commands.usage import UsageError
 from page_runtime.live.loop import LiveLoop
+from page_runtime.machine import cpu_name, versions
 
 ROOT = Path(__file__).resolve().parents[1]
 EXIT_BAD_INPUT = 2

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.bench import cpu_name, versions
 from page_runtime.commands.inputs import load_network
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import Progress, number, table
@@ -27,6 +26,7 @@ from page_runtime.live.following import EachByItself, Tracking
 from page_runtime.live.locate import OwnRegions
 from page_runtime.live.loop import Followed, Follower
 from page_runtime.live.motion import step_between
+from page_runtime.machine import cpu_name, versions
 from page_runtime.network import Network
 from page_runtime.pose import PartPose
 from page_runtime.recorded import RecordedFrame

@@ -10,16 +10,15 @@ import pytest
 
 from page_export.calibration import (
     Examples,
-    calibration_error,
     cross_fitted,
     examples_from,
     fitted,
     joined,
-    reliability,
     write_confidence,
 )
 from page_runtime import Network
 from page_runtime.confidence import FEATURES, ConfidenceModel
+from page_runtime.validation.reliability import calibration_error, reliability
 
 
 def drawn(count: int, seed: int = 0) -> tuple[Examples, np.ndarray]:

@@ -11,7 +11,7 @@ import pytest
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
-from page_runtime.evaluation import figures_of, joint_errors, part_errors
+from page_runtime.evaluation import joint_errors, part_errors
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import apply, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose, mirrored_sample
@@ -22,6 +22,7 @@ from page_runtime.pose import ArticulatedPose
 from page_runtime.recorded import PartTruth, RecordedFrame
 from page_runtime.sampling import RegionSample, sample_region
 from page_runtime.schema import json_line, pose_record
+from page_runtime.validation.figures import figures_of
 from page_training.categories import CATEGORIES, category_named
 from page_training.record import recorded_frame
 from page_training.scenes import SceneView, full_view, sample_scene

@@ -13,10 +13,11 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from page_runtime.boxes import EDGES, box_corners, box_iou, intersection_volume
 from page_runtime.category import Category, Part
-from page_runtime.evaluation import PartError, part_errors, rotation_error, summarise, translation_error
+from page_runtime.evaluation import PartError, part_errors, rotation_error, translation_error
 from page_runtime.geometry import Array, apply, invert, rotation_about, transform_from
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import PartTruth
+from page_runtime.validation.figures import summarise
 
 Box = tuple[Array, Array]
 ONE_PART = Category("one", (Part("base", "", np.eye(3), np.ones(3), (0.1, 2.0)),), (), 3, 1.0)
@@ -173,7 +174,8 @@ def test_a_part_that_can_hardly_be_seen_is_not_asked_for() -> None:
 @pytest.mark.parametrize("errors", [[], errors_of(NotSeen("base", "hidden"))])
 def test_figures_that_do_not_exist_are_null_and_never_nan(errors: list[PartError]) -> None:
     figures = summarise(errors, "base")
-    assert figures["rotation_deg"] == {"mean": None, "median": None}
+    assert set(figures["rotation_deg"].values()) == {None}
+    assert {"mean", "median"} <= set(figures["rotation_deg"])
     json.dumps(figures, allow_nan=False)
 
 

@@ -27,8 +27,16 @@ MAY_IMPORT = {
     "page_export": {"page_training", "page_runtime"},
     "page_calibration": {"page_runtime"},
 }
-HEAVY = {"torch", "onnx", "onnxscript", "open3d", "depthai", "rosbags", "mcap", "mcap_protobuf", "rerun"}
-ONLY_IMPORTER = {"onnxruntime": "network.py", "depthai": "capture/oak.py", "rerun": "sinks/rerun_log.py"}
+HEAVY = {
+    "torch", "onnx", "onnxscript", "open3d", "depthai", "rosbags", "mcap", "mcap_protobuf", "rerun", "distributed",
+    "dask",
+}  # fmt: skip
+ONLY_IMPORTER = {
+    "onnxruntime": "network.py",
+    "depthai": "capture/oak.py",
+    "rerun": "sinks/rerun_log.py",
+    "distributed": "validation/cluster.py",
+}
 ONLY_IMPORTER_OF_TRAINING = {
     "open3d": "scenes/render.py",
     "trimesh": "own/surfaces.py",

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
-from page_runtime.evaluation import joint_errors, nearest_truths, part_errors
+from page_runtime.equivalents import nearest_truths
+from page_runtime.evaluation import joint_errors, part_errors
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose
 from page_runtime.pose import ArticulatedPose, JointState, PartPose

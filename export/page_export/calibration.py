@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -100,41 +99,6 @@ def cross_fitted(examples: Examples, folds: int = 5) -> NDArray[np.float64]:
         model = fitted(Examples(examples.features[others], examples.right[others], examples.confidence[others]))
         found[~others] = [model.probability(row) for row in examples.features[~others]]
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class ReliabilityBin:
-    """Parts whose confidence is in [low, high): how many, their mean confidence, the share of them that is right."""
-
-    low: float
-    high: float
-    count: int
-    confidence: float
-    right: float
-
-
-EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
-
-
-def reliability(
-    confidence: NDArray[np.float64], right: NDArray[np.bool_], edges: tuple[float, ...] = EDGES
-) -> list[ReliabilityBin]:
-    """The bins that hold any part; the last one includes its upper edge."""
-    found = []
-    for low, high in pairwise(edges):
-        inside = (confidence >= low) & ((confidence < high) | (high == edges[-1]))
-        if inside.any():
-            found.append(
-                ReliabilityBin(
-                    low, high, int(inside.sum()), float(confidence[inside].mean()), float(right[inside].mean())
-                )
-            )
-    return found
-
-
-def calibration_error(bins: list[ReliabilityBin]) -> float:
-    """Mean distance of confidence and share over all parts (expected calibration error)."""
-    return sum(b.count * abs(b.confidence - b.right) for b in bins) / sum(b.count for b in bins)
 
 
 def write_confidence(bundle: Path, metadata: BundleMetadata, model: ConfidenceModel | None) -> None:

@@ -185,17 +185,10 @@ def _card(options: argparse.Namespace) -> int:
 def _calibrate(options: argparse.Namespace) -> int:
     from rich.progress import track
 
-    from page_export.calibration import (
-        calibration_error,
-        cross_fitted,
-        examples_from,
-        fitted,
-        joined,
-        reliability,
-        write_confidence,
-    )
+    from page_export.calibration import cross_fitted, examples_from, fitted, joined, write_confidence
     from page_runtime.capture.playback import open_source
     from page_runtime.network import Network
+    from page_runtime.validation.reliability import calibration_error, reliability
 
     metadata = Network(options.bundle).metadata
     # Confidence decides which frames get a second opinion: the first round finds the confidence of first answers, the

@@ -135,7 +135,7 @@ def _source(options: argparse.Namespace) -> Source:
 
 def _evaluate(options: argparse.Namespace) -> None:
     from page_runtime.commands.outputs import require_file_place
-    from page_runtime.commands.validate import readable
+    from page_runtime.commands.validation_tables import readable
     from page_training.evaluate import evaluate, scored_pose
     from page_training.regressed import regressed_pose
     from page_training.templates import with_templates

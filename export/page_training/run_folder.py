@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.bench import versions
+from page_runtime.machine import versions
 from page_training.config import TrainingConfig
 from page_training.records import SCENES_VERSION
 

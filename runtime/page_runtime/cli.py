@@ -17,8 +17,12 @@ from pathlib import Path
 from typing import NoReturn
 
 from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
+from page_runtime.commands import argument_types as accept
+from page_runtime.commands.bench_options import add_bench_options
+from page_runtime.commands.live_options import add_live_options
 from page_runtime.commands.sink_options import add_sink_options
 from page_runtime.commands.usage import UsageError
+from page_runtime.commands.validate_options import add_validate_options
 
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
@@ -36,8 +40,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-runtime; returns the exit code: 0 done, 1 `doctor` found a problem, 2 bad input (no file was written), 3
-    no camera, 4 a camera that was lost, 130 interrupted."""
+    """Run page-runtime; returns the exit code: 0 done, 1 `doctor` found a problem or `bench --compare` a slower run or
+    none that proves anything, 2 bad input (no file was written), 3 no camera, 4 a camera that was lost, 130
+    interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -65,7 +70,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     from page_runtime.image_files import SourceError
 
     try:
-        found = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
+        code = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
     except DeviceUnavailable as error:
         return _refuse(error, code=EXIT_NO_CAMERA)
     except SourceLost as error:
@@ -76,7 +81,7 @@ def _call(command: str, options: dict[str, object]) -> int:
         raise
     except OSError as error:
         return _refuse(error)
-    return found or 0
+    return code or 0
 
 
 def _refuse(error: Exception, *, code: int = EXIT_BAD_INPUT) -> int:
@@ -123,61 +128,57 @@ def _parser() -> argparse.ArgumentParser:
 
     def pairs(sub: argparse.ArgumentParser) -> None:
         sub.add_argument(
-            "--window-ms", metavar="MS", dest="window_s", type=_milliseconds, default=WINDOW_S, help=window_help
+            "--window-ms",
+            metavar="MS",
+            dest="window_s",
+            type=accept.seconds_of_milliseconds,
+            default=WINDOW_S,
+            help=window_help,
         )
 
     def limited(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--frames", metavar="N", type=_count, default=0, help="stop after N frames (default: all)")
+        sub.add_argument(
+            "--frames", metavar="N", type=accept.count, default=0, help="stop after N frames (default: all)"
+        )
 
-    def common(sub: argparse.ArgumentParser) -> None:
-        sub.add_argument("--bundle", metavar="B", type=Path, required=True, help="the category's .onnx file")
-        sub.add_argument("--threads", metavar="N", type=_count, default=0, help="at most N threads (default: all)")
-        sub.add_argument("--looks", metavar="N", type=_count, default=3, help=looks_help)
+    def common(sub: argparse.ArgumentParser, *, several: bool = False, required: bool = True) -> None:
+        bundle_help = (
+            "the category's .onnx file; again for another category" if several else "the category's .onnx file"
+        )
+        kind = "append" if several else "store"
+        sub.add_argument("--bundle", metavar="B", type=Path, required=required, action=kind, help=bundle_help)
+        default = "1 a process, as figures depend on it a little" if several else "all"
+        sub.add_argument(
+            "--threads", metavar="N", type=accept.count, default=0, help=f"at most N threads (default: {default})"
+        )
+        sub.add_argument("--looks", metavar="N", type=accept.count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
         pairs(sub)
 
     window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
     source_help = "a folder or file of RGB-D frames, or a camera: oak, oak:DEVICE"
     looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
+    validate_help = "compare estimates with the truth of recordings, of any format and of one category or several"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
     run = command("run", "write one JSON line for every object in every frame", "source", source_help)
     limited(run)
     region_help = "where the object is, px (--region=-5,3,10,10 for a minus first); default: where the source says"
-    run.add_argument("--region", metavar="X,Y,W,H", type=_region, help=region_help)
+    run.add_argument("--region", metavar="X,Y,W,H", type=accept.region, help=region_help)
     run.add_argument("--out", metavar="FILE", type=Path, help="write the lines here instead of to standard output")
     run.add_argument("--overlay", metavar="DIR", type=Path, help=overlay_help)
     common(run)
     live = command("live", "find objects, follow them, and give a result for every frame", "source", source_help)
     limited(live)
-    where = live.add_mutually_exclusive_group()
-    where_help = (
-        "where the one object is first seen, px, or auto: what stands out of table and walls (default: the source's "
-        "own regions, else auto)"
-    )
-    where.add_argument("--region", metavar="X,Y,W,H", type=_where, help=where_help)
-    where.add_argument("--mask", metavar="DIR", type=Path, help="a picture for each frame, 000012.png, objects not 0")
-    where.add_argument("--detector", metavar="FILE", type=Path, help="a detector or segmentation, .onnx of Ultralytics")
-    live.add_argument(
-        "--classes", metavar="A,B", type=_names, default=(), help="names or numbers of --detector's classes"
-    )
-    live.add_argument(
-        "--objects", metavar="N", type=_count, default=0, help="at most N objects at a time (default: all)"
-    )
-    track_help = "follow objects from frame to frame, filtered (default); --no-track: every frame by itself"
-    live.add_argument("--track", action=argparse.BooleanOptionalAction, default=True, help=track_help)
-    deadline_help = "leave out what would make a result later than MS after its frame, and count late ones"
-    live.add_argument("--deadline-ms", metavar="MS", type=_positive, help=deadline_help)
-    live.add_argument("--status", metavar="FILE", type=Path, help="keep state, counters and latency here, as JSON")
+    add_live_options(live)
     add_sink_options(live)
     common(live)
     live.set_defaults(looks=1)
-    validate = command("validate", "compare with the truth of a recording", "recording", "a folder with true poses")
-    validate.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
-    validate.add_argument("--overlay", metavar="DIR", type=Path, help=f"{overlay_help}, and the true boxes")
-    common(validate)
-    bench = command("bench", "time every stage", "recording", "a folder of RGB-D frames with regions")
-    bench.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
-    common(bench)
+    validate = commands.add_parser("validate", help="compare with the truth of recordings", description=validate_help)
+    add_validate_options(validate, overlay_help)
+    common(validate, several=True)
+    bench = commands.add_parser("bench", help="time every stage", description="time every stage")
+    add_bench_options(bench)
+    common(bench, required=False)
     inspect = command("inspect", "say what a bundle holds", "bundle", "a .onnx file", Path)
     inspect.add_argument("--json", dest="as_json", action="store_true", help="as the JSON document inside it")
     devices = commands.add_parser("devices", help="list the cameras", description="list the cameras that answer")
@@ -201,64 +202,11 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("recording", metavar="RECORDING", nargs="?", help="whose calibration and frames are checked")
     bundle_help = "what is timed (default: a shipped one)"
     doctor.add_argument("--bundle", metavar="B", type=Path, help=bundle_help)
-    doctor.add_argument("--seconds", metavar="S", type=_seconds, default=3.0, help="time for that (default: 3)")
+    doctor.add_argument(
+        "--seconds", metavar="S", type=accept.positive_seconds, default=3.0, help="time for that (default: 3)"
+    )
     doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     return parser
-
-
-def _milliseconds(text: str) -> float:
-    try:
-        value = float(text) * 1e-3
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected milliseconds from 0 on, got {text!r}")
-    return value
-
-
-def _region(text: str) -> tuple[int, int, int, int]:
-    try:
-        x, y, width, height = (int(value) for value in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected four whole numbers x,y,w,h in pixels, got {text!r}") from None
-    return x, y, width, height
-
-
-def _where(text: str) -> tuple[int, int, int, int] | str:
-    return text if text == "auto" else _region(text)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(","))
-    if not all(names):
-        raise argparse.ArgumentTypeError(f"expected names or numbers separated by commas, got {text!r}")
-    return names
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected milliseconds > 0, got {text!r}")
-    return value
-
-
-def _count(text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, got {text!r}")
-    return int(text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected seconds above 0, got {text!r}")
-    return value
 
 
 if __name__ == "__main__":

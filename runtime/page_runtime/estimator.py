@@ -11,7 +11,7 @@ from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
 from page_runtime.network import Network, NetworkOutput
-from page_runtime.part_poses import members_of, pose_from_output, seen_parts
+from page_runtime.part_poses import MAX_VOTERS, members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
 from page_runtime.stopwatch import Stopwatch
@@ -24,14 +24,22 @@ OTHER_MARGINS = (0.0, 0.25)
 MAX_LOOKS = 1 + len(OTHER_MARGINS)
 
 
-def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> ArticulatedPose:
+def estimate(
+    network: Network,
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    max_looks: int = MAX_LOOKS,
+    max_voters: int = MAX_VOTERS,
+) -> ArticulatedPose:
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
-    time of the first, so 1 is for loops whose time must not vary. Raises ValueError for a region outside the image.
+    time of the first, so 1 is for loops whose time must not vary. max_voters: of a part's points, at most so many vote.
+    Raises ValueError for a region outside the image.
     """
-    return examine(network, frame, region, max_looks=max_looks).pose
+    return examine(network, frame, region, max_looks=max_looks, max_voters=max_voters).pose
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,7 +52,14 @@ class Examined:
     output: NetworkOutput | None = None
 
 
-def examine(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> Examined:
+def examine(
+    network: Network,
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    max_looks: int = MAX_LOOKS,
+    max_voters: int = MAX_VOTERS,
+) -> Examined:
     """`estimate`, with the points of the region and what the network said of them."""
     metadata = network.metadata
     watch = Stopwatch()
@@ -62,7 +77,7 @@ def examine(network: Network, frame: RgbdFrame, region: Region, *, max_looks: in
             sample, depth_m = behind, sample.other_depth_m
             output = network.run(sample, _neighbours(sample))
             watch.stage("network")
-    pose = pose_from_output(metadata, sample, output, watch)
+    pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
     first = sample, output
     if not metadata.mirrored or metadata.confidence is None:
         return Examined(pose, *first)
@@ -76,7 +91,8 @@ def examine(network: Network, frame: RgbdFrame, region: Region, *, max_looks: in
             again = mirrored_sample(again)
             output = network.run(again, _neighbours(again))
             watch.stage("network")
-            other = mirrored_pose(pose_from_output(metadata, again, output, watch), metadata.category)
+            found = pose_from_output(metadata, again, output, watch, max_voters=max_voters)
+            other = mirrored_pose(found, metadata.category)
             pose = max(pose, other, key=_mean_confidence)
             looks += 1
     return Examined(replace(pose, looks=looks), *first)

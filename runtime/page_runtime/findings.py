@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from page_runtime.bench import cpu_name, versions
 from page_runtime.bundle import BundleMetadata
 from page_runtime.camera import Camera
+from page_runtime.machine import cpu_name, versions
 from page_runtime.network import available_providers
 from page_runtime.recorded import RecordedFrame, Source
 

@@ -40,12 +40,18 @@ def apply(T_a_b: Array, points_b: Array) -> Array:
 def rotation_angle(R_a: Array, R_b: Array) -> Array:
     """Geodesic angle (...,) in [0, pi] between rotations (..., 3, 3).
 
-    Uses the chord |R_a - R_b|_F = 2 sqrt(2) sin(angle / 2), which keeps its digits near 0 where the
-    arc cosine of the trace loses half of them, and the trace near pi where the chord loses them.
+    From sin(angle / 2), by the chord |R_a - R_b|_F = 2 sqrt(2) sin(angle / 2), which keeps its digits near 0 where the
+    arc cosine of the trace loses half of them; and cos(angle / 2), beyond a quarter turn by the skew part of
+    R = R_a^T R_b, |R - R^T|_F = 2 sqrt(2) sin(angle), as near pi 1 + trace loses half of them too.
     """
     half_chord = np.linalg.norm(R_a - R_b, axis=(-2, -1)) / np.sqrt(8.0)
     trace = np.einsum("...ij,...ij->...", R_a, R_b)
-    half_cosine = np.sqrt(np.clip((trace + 1.0) / 4.0, 0.0, None))
+    R = np.swapaxes(R_a, -1, -2) @ R_b
+    skew = np.linalg.norm(R - np.swapaxes(R, -1, -2), axis=(-2, -1)) / np.sqrt(8.0)
+    is_wide = half_chord > np.sqrt(0.5)
+    half_cosine = np.where(
+        is_wide, skew / (2.0 * np.where(is_wide, half_chord, 1.0)), np.sqrt(np.clip((trace + 1.0) / 4.0, 0.0, None))
+    )
     return 2.0 * np.arctan2(half_chord, half_cosine)
 
 

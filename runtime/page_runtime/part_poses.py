@@ -33,13 +33,18 @@ FULL_SHARE = 0.4
 
 
 def pose_from_output(
-    metadata: BundleMetadata, sample: RegionSample, output: NetworkOutput, watch: Stopwatch | None = None
+    metadata: BundleMetadata,
+    sample: RegionSample,
+    output: NetworkOutput,
+    watch: Stopwatch | None = None,
+    *,
+    max_voters: int = MAX_VOTERS,
 ) -> ArticulatedPose:
     """The second half of `estimate`: from the network's answer for the points of `sample` to poses."""
     watch = watch or Stopwatch()
     points = answered_points(sample, output)
     members = members_of(output, sample.num_distinct)
-    votes = votes_of(members, points, output, metadata)
+    votes = votes_of(members, points, output, metadata, max_voters=max_voters)
     watch.stage("scoring")
     observed = observed_parts(metadata.category, points, members, votes, output)
     registered = iter(register_parts([one for one in observed if isinstance(one, Observed)]))
@@ -109,12 +114,14 @@ def votes_of(
     points_camera: NDArray[np.float32],
     output: NetworkOutput,
     metadata: BundleMetadata,
+    *,
+    max_voters: int = MAX_VOTERS,
 ) -> dict[int, tuple[KeypointVotes, ...]]:
     """The votes of every part with enough points, by its index; `members` are the points of each part."""
     num_voted = metadata.category.num_voted
     seen = seen_parts(members)
     # A prefix of the progressive order covers the part evenly.
-    voters = [members[index][:MAX_VOTERS] for index in seen]
+    voters = [members[index][:max_voters] for index in seen]
     votes = score_parts(
         [(points_camera[own], output.radii_m[own, :num_voted]) for own in voters],
         voxel_m=metadata.voxel_m,

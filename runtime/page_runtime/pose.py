@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from page_runtime.category import Category, JointKind
 from page_runtime.geometry import Array
 
+NO_REGION = "not seen: nothing says where the object is in this frame; pass --region"
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PartPose:

@@ -14,12 +14,11 @@ from page_runtime.commands.sources import open_recorded
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
-from page_runtime.pose import ArticulatedPose, not_seen
+from page_runtime.pose import NO_REGION, ArticulatedPose, not_seen
 from page_runtime.recorded import FrameSource, Instance, RecordedFrame, Source
 from page_runtime.sampling import Region, check_region
 
 AnySource = TypeVar("AnySource", bound=FrameSource)
-NO_REGION = "not seen: nothing says where the object is in this frame; pass --region"
 
 
 @dataclass(frozen=True, eq=False, slots=True)

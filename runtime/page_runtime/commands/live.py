@@ -82,17 +82,18 @@ def live(
         deadline_s = None if deadline_ms is None else 1e-3 * deadline_ms
         loop = LiveLoop(found, follower, deadline_s=deadline_s, name=source)
         with (
+            _ended_by_status(status, loop) as state,
             open_sinks(
                 sink_options, tell=_tell, category=network.metadata.category, calibration=found.calibration
             ) as sinks,
             Progress("live", total_of(found, frames), quiet=quiet) as progress,
-            _status(status, loop, sinks) as report,
             stopped_by_signals(loop),
             loop,
         ):
+            state.sinks = sinks
             for count, result in enumerate(loop, start=1):
                 sinks.put(result)
-                report(result)
+                state.report(result)
                 progress.advance()
                 if count == frames:
                     break
@@ -132,36 +133,44 @@ def _locator(
 
 
 @contextmanager
-def _status(path: Path | None, loop: LiveLoop, sinks: Sinks) -> Iterator[Any]:
-    """Called with every result, writes the state and the figures at most once a second, and at the end. A disk that is
-    full is told once, and does not end the loop."""
-    if path is None:
-        yield lambda _: None
-        return
-    figures, written_s, state, told = RunningFigures(), float("-inf"), "", False
-
-    def document(counts: LoopCounts, *, running: bool) -> dict[str, Any]:
-        given = {name: asdict(one) for name, one in sinks.counts.items()}
-        return {"running": running, **figures.document(counts), "sinks": given}
-
-    def write(document: dict[str, Any]) -> None:
-        nonlocal told
-        try:
-            write_json(path, document)
-        except OSError as error:
-            if not told:
-                _tell(f"--status: {path} cannot be written ({error.strerror}); going on")
-            told = True
-
-    def report(result: LiveResult) -> None:
-        nonlocal written_s, state
-        figures.add(result)
-        now_s = time.monotonic()
-        if now_s - written_s >= STATUS_PERIOD_S or result.state != state:
-            written_s, state = now_s, result.state
-            write(document(result.counts, running=True))
-
+def _ended_by_status(path: Path | None, loop: LiveLoop) -> Iterator[_StatusFile]:
+    """The status file, whose last figures are written when the loop and its sinks have ended."""
+    state = _StatusFile(path, loop)
     try:
-        yield report
+        yield state
     finally:
-        write(document(loop.counts, running=False))
+        state.finish()
+
+
+class _StatusFile:
+    """The state and the figures in a file, at most once a second, at every change of state, and at the end. A disk that
+    is full is told once, and does not end the loop."""
+
+    def __init__(self, path: Path | None, loop: LiveLoop) -> None:
+        self._path, self._loop = path, loop
+        self.sinks: Sinks | None = None
+        self._figures, self._written_s, self._state, self._told = RunningFigures(), float("-inf"), "", False
+
+    def report(self, result: LiveResult) -> None:
+        """Count a result."""
+        if self._path is None:
+            return
+        self._figures.add(result)
+        now_s = time.monotonic()
+        if now_s - self._written_s >= STATUS_PERIOD_S or result.state != self._state:
+            self._written_s, self._state = now_s, result.state
+            self._write(self._path, result.counts, running=True)
+
+    def finish(self) -> None:
+        """Write the last figures, after the loop and its sinks have ended."""
+        if self._path is not None:
+            self._write(self._path, self._loop.counts, running=False)
+
+    def _write(self, path: Path, counts: LoopCounts, *, running: bool) -> None:
+        sinks = {} if self.sinks is None else {name: asdict(one) for name, one in self.sinks.counts.items()}
+        try:
+            write_json(path, {"running": running, **self._figures.document(counts), "sinks": sinks})
+        except OSError as error:
+            if not self._told:
+                _tell(f"--status: {path} cannot be written ({error.strerror}); going on")
+            self._told = True

@@ -1,0 +1,74 @@
+"""The paper's tables with our rows beside its own, as Markdown, CSV and plots.
+
+    make tables      or      python benchmarks/paper_tables.py [--recording CATEGORY=PATH ...] [--quick]
+
+Ours come from the shipped bundles on the procedural test split, which is made first where there is none, or on
+recordings of yours: ArtImage, ReArtMix or RobotArm where you have them. The same metrics, other data: the two stand
+side by side and prove nothing about each other. Interrupt it at any time, the same command goes on. Needs the extra
+export.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+OUT = ROOT / "benchmarks" / "results" / "tables"
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run it; returns the exit code: 0 done, 2 bad input, 130 interrupted."""
+    parser = argparse.ArgumentParser(prog="paper_tables.py", description="The paper's tables, ours beside its own.")
+    parser.add_argument("--recording", metavar="CATEGORY=PATH", action="append", default=[], help="with true poses")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder of the tables and of what is kept")
+    parser.add_argument("--processes", type=int, default=1, help="of a validation (default: 1)")
+    parser.add_argument("--quick", action="store_true", help="20 frames a category, to see that it runs")
+    options = parser.parse_args(arguments)
+    try:
+        return _run(options)
+    except ImportError as error:
+        print(f"tables: {error}; it needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except (ValueError, OSError) as error:
+        print(f"tables: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    except KeyboardInterrupt:
+        print("tables: interrupted; the same command goes on from here", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _run(options: argparse.Namespace) -> int:
+    from benchmarks.table_rows import figures_from, markdown, plots_from
+    from benchmarks.table_steps import chosen, results_of
+
+    measured = chosen(options.recording, quick=options.quick)
+    results = results_of(measured, options.out, processes=options.processes)
+    figures = figures_from(results)
+    write_tables(options.out, figures, markdown(figures, results), plots_from(figures))
+    print(options.out / "tables.md")
+    return 0
+
+
+def write_tables(folder: Path, figures: list[Any], text: str, plots: dict[str, str]) -> None:
+    """tables.md, tables.csv and the plots."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tables.md").write_text(text, encoding="utf-8")
+    with (folder / "tables.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("table", "category", "row", "source", "data", "part", "metric", "value", "low", "high"))
+        for one in figures:
+            writer.writerow([*one[:-3], *("" if value is None else f"{value:.6g}" for value in one[-3:])])
+    for name, svg in plots.items():
+        (folder / name).write_text(svg, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    # The project's folder in place of this one, as `python -m benchmarks.paper_tables` has it.
+    sys.path[0] = str(ROOT)
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Estimates of many recordings against their truth: compared, spread over processes, summed up."""
