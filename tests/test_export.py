@@ -13,6 +13,7 @@ from page_export.onnx_export import OPSET, RuntimeSignature, example_inputs, fol
 from page_export.parity import compare_on
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
+from page_runtime.onnx_file import sealed
 from page_training.categories import CATEGORIES
 from page_training.network import PageNetwork, network_for
 from page_training.record import record_split
@@ -111,18 +112,18 @@ def test_metadata_that_is_not_understood_whole_is_refused(bundle: Path, change, 
 def rewritten(bundle: Path, path: Path, change) -> Path:
     model = onnx.load(str(bundle))
     change(model)
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(sealed(model.SerializeToString()))
     return path
 
 
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
-        (lambda b, p: p.write_bytes(b.read_bytes()[: b.stat().st_size // 2]), "cannot load"),
-        (lambda _, p: p.write_bytes(b"not a model at all" * 100), "cannot load"),
+        (lambda b, p: p.write_bytes(b.read_bytes()[: b.stat().st_size // 2]), "cut short"),
+        (lambda _, p: p.write_bytes(b"not a model at all" * 100), "is it a complete"),
         (lambda _, p: p.write_bytes(b""), "bytes, got 0"),
         (lambda _, __: None, "no file"),
-        (lambda b, p: rewritten(b, p, lambda m: m.metadata_props.pop()), METADATA_KEY),
+        (lambda b, p: rewritten(b, p, lambda m: m.metadata_props.pop(0)), METADATA_KEY),
         (lambda b, p: rewritten(b, p, lambda m: m.graph.output.pop()), "outputs"),
     ],
 )

@@ -9,13 +9,13 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
+from page_runtime.bundle import BundleError, BundleMetadata
+from page_runtime.bundle_file import read_bundle
 from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours
 from page_runtime.sampling import RegionSample
 
 INPUT_NAMES = ("image", "points", "pixels", "group1", "group2", "group3", "up1", "up2", "up3")
 OUTPUT_NAMES = ("part_logits", "radii", "side_logits", "log_extents")
-MAX_BUNDLE_BYTES = 256 << 20
 # Its kernel takes much longer than an addition and a layer norm: a forward pass of the boxes' network took 17.8 ms with
 # it, 14.3 without (one thread, onnxruntime 1.31, in turns).
 _SLOWER = ["SkipLayerNormFusion"]
@@ -55,11 +55,8 @@ class Network:
     def __init__(self, path: Path | str, *, threads: int = 0) -> None:
         """Load a bundle; threads 0 leaves the number to onnxruntime. Raises BundleError with the reason."""
         self.path = Path(path)
-        if not self.path.is_file():
-            raise BundleError(f"bundle: no file {self.path}; expected an .onnx file made by page-export")
-        size = self.path.stat().st_size
-        if not 0 < size <= MAX_BUNDLE_BYTES:
-            raise BundleError(f"bundle {self.path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {size}")
+        file = read_bundle(self.path)
+        self.metadata = file.metadata
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
@@ -67,22 +64,13 @@ class Network:
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             self.session = ort.InferenceSession(
-                self.path.read_bytes(), options, providers=["CPUExecutionProvider"], disabled_optimizers=_SLOWER
+                file.data, options, providers=["CPUExecutionProvider"], disabled_optimizers=_SLOWER
             )
         except Exception as error:  # onnxruntime raises many unrelated classes for one cause: a file it cannot load
             reason = str(error).splitlines()[0]
             raise BundleError(
                 f"bundle {self.path}: onnxruntime cannot load it ({reason}); is it an exported, complete .onnx file?"
             ) from error
-        document = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
-        if document is None:
-            raise BundleError(
-                f"bundle {self.path}: no {METADATA_KEY!r} in the metadata of this ONNX model; use page-export"
-            )
-        try:
-            self.metadata = BundleMetadata.from_json(document)
-        except BundleError as error:
-            raise BundleError(f"{self.path}: {error}") from error
         self._check_signature()
 
     def _check_signature(self) -> None:
