@@ -1,8 +1,8 @@
 """A bundle's file, read and judged before onnxruntime sees a byte of it: a bundle is untrusted input.
 
 Refused are: a wrong or missing checksum, data outside the file, tensors whose declared size is not that of their data,
-graphs inside nodes, functions, foreign domains, and any field that is not understood. Time and memory are bounded by the
-size of the file and MAX_FIELDS. How large what it computes becomes: `graph_limits`.
+graphs inside nodes, functions, foreign domains, and any field that is not understood. Time and memory are bounded by
+the size of the file and MAX_FIELDS. How large what it computes becomes: `graph_limits`.
 Format: https://github.com/onnx/onnx/blob/main/onnx/onnx.proto3
 """
 
