@@ -261,8 +261,8 @@ def test_every_operator_with_a_rule_is_an_operator_of_onnx() -> None:
 
 
 def test_nothing_unpickles_what_comes_from_outside() -> None:
-    """torch.load takes weights only; numpy.load, which takes no pickles by default, is not told to; pickle itself is for
-    messages between a camera's process and its parent."""
+    """torch.load takes weights only; numpy.load, which takes no pickles by default, is not told to; pickle itself is
+    for messages between a camera's process and its parent."""
     for path in [*ROOT.glob("runtime/**/*.py"), *ROOT.glob("export/**/*.py"), *ROOT.glob("calibration/**/*.py")]:
         name = path.relative_to(ROOT).as_posix()
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
