@@ -10,14 +10,18 @@ import pytest
 import torch
 
 from page_export.cli import main
+from page_export.edge_network import EdgeNetwork
 from page_export.onnx_export import OPSET, RuntimeSignature, example_inputs, folded, graph_of, write_bundle
 from page_export.parity import checkpoint_run, compare, samples_of
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata, category_document
 from page_runtime.capture.playback import open_source
+from page_runtime.neighbours import find_neighbours
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
 from page_runtime.onnx_file import sealed
 from page_training.categories import CATEGORIES
 from page_training.checkpoint import save_checkpoint
+from page_training.config import Fusion
+from page_training.layers import FUSERS
 from page_training.network import PageNetwork, network_for
 from page_training.record import record_split
 
@@ -55,6 +59,46 @@ def test_folding_batch_norms_changes_nothing(network: PageNetwork) -> None:
             RuntimeSignature(network)(*inputs), RuntimeSignature(folded(network))(*inputs), strict=True
         ):
             torch.testing.assert_close(fused, plain, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("category", sorted(CATEGORIES))
+def test_the_edge_form_is_the_same_function(category: str) -> None:
+    torch.manual_seed(2)
+    network = folded(network_for(CATEGORIES[category]))
+    with torch.no_grad():
+        # As much as trained ones say: heads that start at zero would hide what is wrong before them.
+        for layer in (network.refiner.correction, network.refiner.to_vector):
+            layer.weight.normal_(0, 0.02)
+        compared_with_edge(network)
+
+
+@pytest.mark.parametrize("fusion", sorted(FUSERS))
+def test_the_edge_form_is_the_same_function_for_every_fusion(fusion: Fusion) -> None:
+    torch.manual_seed(3)
+    with torch.no_grad():
+        compared_with_edge(folded(network_for(BOX, fusion)))
+
+
+def compared_with_edge(network: PageNetwork) -> None:
+    for inputs in (example_inputs(), real_inputs()):
+        plain, edge = RuntimeSignature(network)(*inputs), EdgeNetwork(network).eval()(*inputs)
+        for ours, theirs in zip(edge, plain, strict=True):
+            assert ours.shape == theirs.shape
+            torch.testing.assert_close(ours, theirs, atol=1e-4, rtol=1e-4)
+
+
+def real_inputs() -> tuple[torch.Tensor, ...]:
+    """Points of a bent sheet, 200 of them repeated, as for an object far away; pixels up to the picture's border."""
+    image, _, _, *_ = example_inputs()
+    generator = torch.Generator().manual_seed(1)
+    pixels = (torch.rand(200, 2, generator=generator) * 226 - 1.5).clamp(-0.5, 223.5)
+    x, y = (pixels / 224 - 0.5).unbind(1)
+    points = torch.stack([x, y, 0.3 * (x * x - y).abs()], dim=1)
+    rows = torch.arange(2048) % 200
+    points, pixels = points[rows], pixels[rows]
+    neighbours = find_neighbours(points.numpy())
+    tables = [torch.from_numpy(getattr(neighbours, name)[None]) for name in INPUT_NAMES[3:]]
+    return image, points[None], pixels[None], *tables
 
 
 def test_bundle_and_checkpoint_agree_on_outputs_and_poses(network: PageNetwork, bundle: Path, tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from page_export.bundle_writer import bundle_bytes, write_file
+from page_export.edge_network import EdgeNetwork
+from page_export.simplified import simplified
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
@@ -70,7 +72,7 @@ def example_inputs() -> tuple[Tensor, ...]:
 
 def graph_of(network: PageNetwork) -> onnx.ModelProto:
     """The network as a checked ONNX model of standard operators, without metadata."""
-    return exported(RuntimeSignature(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES)
+    return simplified(exported(EdgeNetwork(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES))
 
 
 def exported(

@@ -10,7 +10,7 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import Network
+from page_runtime.network import DeadlineExceeded, Network
 from page_runtime.part_poses import members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
@@ -24,12 +24,20 @@ OTHER_MARGINS = (0.0, 0.25)
 MAX_LOOKS = 1 + len(OTHER_MARGINS)
 
 
-def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: int = MAX_LOOKS) -> ArticulatedPose:
+def estimate(
+    network: Network,
+    frame: RgbdFrame,
+    region: Region,
+    *,
+    max_looks: int = MAX_LOOKS,
+    network_seconds: float | None = None,
+) -> ArticulatedPose:
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
-    time of the first, so 1 is for loops whose time must not vary. Raises ValueError for a region outside the image.
+    time of the first, so 1 is for loops whose time must not vary. network_seconds: DeadlineExceeded where a forward
+    pass takes longer; in a further look, the answer there is stays. Raises ValueError for a region outside the image.
     """
     metadata = network.metadata
     watch = Stopwatch()
@@ -37,7 +45,7 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
     watch.stage("sampling")
     if isinstance(sample, str):
         return replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms)
-    output = network.run(sample, _neighbours(sample))
+    output = network.run(sample, _neighbours(sample), seconds=network_seconds)
     watch.stage("network")
     if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
         # What is nearer is not the object, but something before it.
@@ -45,7 +53,7 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
         watch.stage("sampling")
         if isinstance(behind, RegionSample):
             sample, depth_m = behind, sample.other_depth_m
-            output = network.run(sample, _neighbours(sample))
+            output = network.run(sample, _neighbours(sample), seconds=network_seconds)
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch)
     if not metadata.mirrored or metadata.confidence is None:
@@ -58,7 +66,11 @@ def estimate(network: Network, frame: RgbdFrame, region: Region, *, max_looks: i
         watch.stage("sampling")
         if isinstance(again, RegionSample):
             again = mirrored_sample(again)
-            output = network.run(again, _neighbours(again))
+            try:
+                output = network.run(again, _neighbours(again), seconds=network_seconds)
+            except DeadlineExceeded:
+                watch.stage("network")
+                break
             watch.stage("network")
             other = mirrored_pose(pose_from_output(metadata, again, output, watch), metadata.category)
             pose = max(pose, other, key=_mean_confidence)

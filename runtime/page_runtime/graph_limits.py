@@ -73,6 +73,7 @@ class _Known:
 class Size:
     """elements: of all values but the initializers; multiplications: of products and convolutions."""
 
+    operators: int
     elements: int
     multiplications: int
 
@@ -107,7 +108,7 @@ def size_of(graph: OnnxGraph) -> Size:
     missing = sorted(graph.outputs.keys() - shapes.keys())
     if missing:
         raise WireError(f"no operator gives the outputs {missing}")
-    return Size(elements, multiplications)
+    return Size(len(graph.nodes), elements, multiplications)
 
 
 def _bound(name: str, declared: tuple[int | str, ...]) -> Shape:

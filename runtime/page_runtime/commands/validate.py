@@ -13,6 +13,7 @@ from page_runtime.commands.usage import UsageError
 from page_runtime.evaluation import figures_of
 from page_runtime.overlay import draw
 from page_runtime.pose import ArticulatedPose
+from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import PartTruth
 
 HEADER = (
@@ -30,11 +31,12 @@ def validate(
     overlay: Path | None,
     window_s: float,
     threads: int,
+    on: ProviderChoice,
     looks: int,
     quiet: bool,
 ) -> None:
     """Estimate every object with truth; write the figures to `json` and a table to standard output."""
-    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, window_s=window_s, command="validate")
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, on=on, window_s=window_s, command="validate")
     if not inputs.source.has_truth:
         raise UsageError(f"{recording}: this {inputs.source.format} has no true poses to compare with")
     require_file_place(json, option="--json")
