@@ -51,6 +51,22 @@ def main(arguments: list[str] | None = None) -> int:
     scorer.add_argument("--beam", type=int, help="cells kept on each level (default: 384)")
     scorer.add_argument("--threads", type=int, default=2)
     scorer.set_defaults(run_command=_scorer)
+    optimise = commands.add_parser("optimise", help="smaller and quicker forms of a bundle, measured; recommends one")
+    optimise.add_argument("bundle", type=Path)
+    optimise.add_argument("--data", type=Path, required=True, metavar="RECORDING", help="with truth, of validation")
+    optimise.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="where the forms are written")
+    optimise.add_argument(
+        "--frames", type=int, default=50, help="regions measured on; the others calibrate (default: 50)"
+    )
+    optimise.add_argument("--max-pose-error", type=float, default=1.1, help="of the original's (default: 1.1)")
+    optimise.add_argument("--json", type=Path, metavar="FILE", help="write the table here")
+    optimise.set_defaults(run_command=_optimise)
+    profile = commands.add_parser("profile", help="where a forward pass takes its time, operator by operator")
+    profile.add_argument("bundle", type=Path)
+    profile.add_argument("--data", type=Path, required=True, metavar="RECORDING")
+    profile.add_argument("--threads", type=int, default=1)
+    profile.add_argument("--top", type=int, default=25, help="single operators shown (default: 25)")
+    profile.set_defaults(run_command=_profile)
     calibrate = commands.add_parser("calibrate", help="fit the bundle's confidence on validation recordings")
     calibrate.add_argument("bundle", type=Path)
     calibrate.add_argument(
@@ -170,6 +186,31 @@ def _kept(parity: Parity, checkpoint: Path, data: Path) -> dict[str, Any]:
     """What a bundle keeps of a comparison: of what with what, too."""
     digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
     return {"checkpoint_sha256": digest, "data": data.resolve().name, **parity.document()}
+
+
+def _optimise(options: argparse.Namespace) -> int:
+    from page_export import optimise_command
+
+    return optimise_command.run(options)
+
+
+def _profile(options: argparse.Namespace) -> int:
+    from page_export.parity import samples_of
+    from page_export.profile import profiled
+    from page_runtime.bundle_file import read_bundle
+    from page_runtime.capture.playback import open_source
+
+    if options.threads < 1 or options.top < 0:
+        raise ValueError(f"--threads, --top: expected at least 1 and 0, got {options.threads} and {options.top}")
+    samples = list(samples_of(read_bundle(options.bundle).metadata, open_source(options.data), 10))
+    profile = profiled(options.bundle, samples, threads=options.threads)
+    total = sum(kind.ms for kind in profile.kinds)
+    print(f"{options.threads} threads: {profile.pass_ms:.2f} ms a pass, {total:.2f} ms of it in operators (medians)")
+    for kind in profile.kinds:
+        print(f"{kind.ms:8.3f} ms  {100 * kind.ms / total:5.1f} %  {kind.count:4d}  {kind.name}")
+    for one in profile.operators[: options.top]:
+        print(f"{one.ms:8.3f} ms  {one.name}  {one.shapes}")
+    return 0
 
 
 def _scorer(options: argparse.Namespace) -> int:

@@ -174,9 +174,7 @@ class Frames(nn.Module):
         super().__init__()
         self.network = network
         inverse, unit = network.unit_inverse, network.framed_keypoints
-        # The pseudo-inverse of centred keypoints does not see what they share, so the mean is one row more.
-        mean = torch.full((len(inverse), 1, unit.shape[1]), 1.0 / unit.shape[1])
-        self.register_buffer("fit", torch.cat([inverse, mean], dim=1))
+        self.register_buffer("fit", inverse)
         self.register_buffer("unit_mean", unit.mean(dim=1, keepdim=True))
         # z @ crossed is the matrix whose product with x, from the left, is z cross x.
         basis = torch.eye(3)
@@ -184,8 +182,9 @@ class Frames(nn.Module):
         self.register_buffer("crossed", crossed.reshape(3, 9))
 
     def forward(self, guess: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        fitted = self.fit @ self.network._framed(guess)
-        affine, mean = fitted[:, :3], fitted[:, 3:]
+        keypoints = self.network._framed(guess)
+        mean = keypoints.mean(dim=1, keepdim=True)
+        affine = self.fit @ (keypoints - mean)
         scale = (affine * affine).sum(dim=(1, 2), keepdim=True).mul(1.0 / 3.0).clamp_min(1e-4).sqrt()
         z = unit_length(affine[:, 2:])
         x = affine[:, :1]
