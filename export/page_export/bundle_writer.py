@@ -22,6 +22,7 @@ def bundle_bytes(model: onnx.ModelProto, metadata: BundleMetadata | None) -> byt
         raise ValueError(f"bundle: expected standard operators only, got domains {sorted(foreign)}")
     graph = plain.graph
     _constants_as_initializers(graph)
+    _in_order(graph)
     # Converters note stack traces, paths and shapes: half the file, and paths of this machine.
     for owner in (plain, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
         del owner.metadata_props[:]
@@ -55,6 +56,24 @@ def _constants_as_initializers(graph: onnx.GraphProto) -> None:
         )
         graph.initializer.append(numpy_helper.from_array(array, node.output[0]))
         graph.node.remove(node)
+
+
+def _in_order(graph: onnx.GraphProto) -> None:
+    """Every operator after those it takes from; some converters append them as they come. ValueError for a cycle."""
+    known = {"", *(value.name for value in graph.input), *(tensor.name for tensor in graph.initializer)}
+    waiting = [onnx.NodeProto.FromString(node.SerializeToString()) for node in graph.node]
+    del graph.node[:]
+    while waiting:
+        later = []
+        for node in waiting:
+            if known.issuperset(node.input):
+                known.update(node.output)
+                graph.node.append(node)
+            else:
+                later.append(node)
+        if len(later) == len(waiting):
+            raise ValueError(f"bundle: the operator {later[0].name!r} takes what no other gives")
+        waiting = later
 
 
 def write_file(data: bytes, path: Path) -> None:

@@ -30,8 +30,8 @@ class Latency:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A form of a bundle. rotation_deg, translation_mm: medians over visible parts against the truth. error: the larger of
-    their ratios to the original's. failures: share of visible parts without a pose, or worse than `evaluation` calls one."""
+    """A form of a bundle. rotation_deg, translation_mm: medians over visible parts against the truth. error: the larger
+    of their ratios to the original's. failures: share of visible parts that `evaluation` calls so."""
 
     name: str
     size_bytes: int
@@ -119,11 +119,8 @@ def _measured(
     results: list[Measured] = []
     for name, path in bundles.items():
         columns = list(zip(*errors[name], strict=True))
-        rotation, translation, failures = (
-            float(np.median(columns[0])),
-            float(np.median(columns[1])),
-            np.mean(columns[2]),
-        )
+        rotation, translation = float(np.median(columns[0])), float(np.median(columns[1]))
+        failures = np.mean(columns[2])
         first = results[0] if results else None
         ratio = (
             1.0 if first is None else max(rotation / first.rotation_deg, translation / max(first.translation_mm, 1e-9))

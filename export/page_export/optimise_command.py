@@ -23,7 +23,7 @@ ROUNDS = 3
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the forms, measure all, keep the ones that are not refused; 0, or ValueError for what cannot be measured."""
+    """Write the forms, measure all, keep those that are not refused; ValueError for what cannot be measured."""
     metadata = read_bundle(options.bundle).metadata
     tested, others = _samples(options.bundle, options.data, options.frames)
     calibration = chosen_for_calibration(others, CALIBRATION_FRAMES)
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
         results = measure(made, tested, rounds=ROUNDS, on_sample=lambda: progress.advance(task))
     best = recommended(results, options.max_pose_error)
     sys.stdout.write(table(results, best, options.max_pose_error, len(tested)))
-    for one in results[1:]:
-        if one.refused(options.max_pose_error, results[0].failures):
-            made[one.name].unlink()
+    refused = {one.name for one in results[1:] if one.refused(options.max_pose_error, results[0].failures)}
+    for name in refused:
+        made[name].unlink()
     if options.json is not None:
         document = {
             "bundle": options.bundle.name,
@@ -48,13 +48,7 @@ def run(options: argparse.Namespace) -> int:
             "calibration_frames": len(calibration),
             "max_pose_error": options.max_pose_error,
             "recommended": best.name,
-            "forms": [
-                {
-                    **one.document(),
-                    "refused": one is not results[0] and one.refused(options.max_pose_error, results[0].failures),
-                }
-                for one in results
-            ],
+            "forms": [{**one.document(), "refused": one.name in refused} for one in results],
         }
         write_file((json.dumps(document, indent=1) + "\n").encode(), options.json)
     return 0

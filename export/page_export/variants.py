@@ -19,9 +19,12 @@ from page_runtime.network import feeds
 from page_runtime.onnx_file import read_onnx
 
 CALIBRATION_FRAMES = 32
-# Products of fewer multiplications than this stay in float32 in the mixed form: they hold a tenth of the weights, decide
-# on poses (heads, frames of parts), and converting to and from 8 bits costs as much as they do.
+# Smaller products stay in float32 in the mixed form: heads and frames of parts decide on poses, and converting to and
+# from 8 bits costs as much as they do.
 MIXED_MULTIPLICATIONS = 4_000_000
+
+# The converter replaces Gemm by MatMul and Add and then looks in vain for the type of what is between them.
+_UNTYPED_IS_FLOAT = {"DefaultTensorType": onnx.TensorProto.FLOAT}
 
 
 class _Frames(CalibrationDataReader):
@@ -66,7 +69,10 @@ def variants(
     return {
         "fp16": lambda: _half(bundle),
         "int8-dynamic": lambda: _converted(
-            bundle, lambda source, target: quantize_dynamic(source, target, weight_type=QuantType.QInt8)
+            bundle,
+            lambda source, target: quantize_dynamic(
+                source, target, weight_type=QuantType.QInt8, extra_options=_UNTYPED_IS_FLOAT
+            ),
         ),
         "int8-static": lambda: _static(bundle, given, None),
         "int8-mixed": lambda: _static(bundle, given, _large_products(bundle)),
@@ -110,6 +116,7 @@ def _static(bundle: Path, given: list[dict[str, NDArray[np.generic]]], nodes: li
             per_channel=True,
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
+            extra_options=_UNTYPED_IS_FLOAT,
         )
 
     return _converted(bundle, convert)

@@ -22,8 +22,8 @@ _KNOWN: dict[str, tuple[str, str, dict[str, str]]] = {
     "xnnpack": ("XnnpackExecutionProvider", "onnxruntime built with XNNPACK", {}),
 }
 PROVIDERS = (AUTO, *_KNOWN)
-# What auto takes, the first that this onnxruntime has. Not XNNPACK, whose operators are few, and not OpenVINO: on the CPU
-# it took 10.1 ms where onnxruntime's own kernels took 11.2 (one thread), 10.9 against 9.5 on two, and loads in 0.4 s.
+# What auto takes, the first that this onnxruntime has. Not XNNPACK, whose operators are few, and not OpenVINO: on a CPU
+# it took 10.1 ms where onnxruntime's own kernels took 11.2 on one thread, 10.9 against 9.5 on two, and 0.4 s to load.
 _PREFERRED = ("tensorrt", "cuda", "coreml", "qnn", "cpu")
 
 
