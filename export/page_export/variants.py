@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,10 +15,11 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from page_export.parity import Inputs
 from page_runtime.bundle import BundleMetadata
 from page_runtime.network import feeds
-from page_runtime.onnx_file import read_onnx
 
 CALIBRATION_FRAMES = 32
-# Smaller products stay in float32 in the mixed form: heads and frames of parts decide on poses, and converting to and
+# Layers with fewer inputs are places, frames and indices of points: geometry, which needs its digits.
+LEAST_INPUTS = 32
+# In the mixed form smaller layers stay in float32, too: heads and frames of parts decide on poses, and converting to and
 # from 8 bits costs as much as they do.
 MIXED_MULTIPLICATIONS = 4_000_000
 
@@ -64,18 +64,14 @@ def variants(
     bundle: Path, metadata: BundleMetadata, calibration: Sequence[Inputs]
 ) -> dict[str, Callable[[], onnx.ModelProto]]:
     """By name, each made when called: fp16, int8-dynamic, int8-static and int8-mixed."""
-    logging.getLogger().setLevel(logging.ERROR)
     given = [feeds(metadata, sample, neighbours) for sample, neighbours in calibration]
+    layers = _layers(bundle)
+    large = [name for name, multiplications in layers.items() if multiplications >= MIXED_MULTIPLICATIONS]
     return {
-        "fp16": lambda: _half(bundle),
-        "int8-dynamic": lambda: _converted(
-            bundle,
-            lambda source, target: quantize_dynamic(
-                source, target, weight_type=QuantType.QInt8, extra_options=_UNTYPED_IS_FLOAT
-            ),
-        ),
-        "int8-static": lambda: _static(bundle, given, None),
-        "int8-mixed": lambda: _static(bundle, given, _large_products(bundle)),
+        "fp16": lambda: _half(bundle, list(layers)),
+        "int8-dynamic": lambda: _converted(bundle, lambda source, target: _dynamic(source, target, list(layers))),
+        "int8-static": lambda: _converted(bundle, lambda source, target: _static(source, target, given, list(layers))),
+        "int8-mixed": lambda: _converted(bundle, lambda source, target: _static(source, target, given, large)),
     }
 
 
@@ -98,56 +94,89 @@ def without_dead_ends(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def _half(bundle: Path) -> onnx.ModelProto:
+def _half(bundle: Path, layers: list[str]) -> onnx.ModelProto:
     from onnxruntime.transformers.float16 import convert_float_to_float16
 
-    return convert_float_to_float16(onnx.load(bundle), keep_io_types=True)
+    model = _named(onnx.load(bundle))
+    # All but the layers, what normalises them and what is between: half precision cannot even count a map's pixels.
+    halves = {*layers, *(node.name for node in model.graph.node if node.op_type in ("LayerNormalization", "Relu"))}
+    rest = [node.name for node in model.graph.node if node.name not in halves]
+    return convert_float_to_float16(model, keep_io_types=True, node_block_list=rest)
 
 
-def _static(bundle: Path, given: list[dict[str, NDArray[np.generic]]], nodes: list[str] | None) -> onnx.ModelProto:
-    def convert(source: Path, target: Path) -> None:
-        quantize_static(
-            source,
-            target,
-            _Frames(given),
-            quant_format=QuantFormat.QDQ,
-            op_types_to_quantize=["Conv", "Gemm", "MatMul"],
-            nodes_to_quantize=nodes,
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            extra_options=_UNTYPED_IS_FLOAT,
-        )
+def _dynamic(source: Path, target: Path, layers: list[str]) -> None:
+    # Gemm becomes MatMul and Add on the way, by these names.
+    names = [*layers, *(f"{name}_MatMul" for name in layers)]
+    quantize_dynamic(
+        source, target, weight_type=QuantType.QInt8, nodes_to_quantize=names, extra_options=_UNTYPED_IS_FLOAT
+    )
 
-    return _converted(bundle, convert)
+
+def _static(source: Path, target: Path, given: list[dict[str, NDArray[np.generic]]], layers: list[str]) -> None:
+    quantize_static(
+        source,
+        target,
+        _Frames(given),
+        quant_format=QuantFormat.QDQ,
+        op_types_to_quantize=["Conv", "Gemm", "MatMul"],
+        nodes_to_quantize=layers,
+        per_channel=True,
+        activation_type=QuantType.QUInt8,
+        weight_type=QuantType.QInt8,
+        extra_options=_UNTYPED_IS_FLOAT,
+    )
 
 
 def _converted(bundle: Path, convert: Callable[[Path, Path], Any]) -> onnx.ModelProto:
     with TemporaryDirectory() as folder:
         source, target = Path(folder) / "source.onnx", Path(folder) / "target.onnx"
-        model = onnx.load(bundle)
-        for index, node in enumerate(model.graph.node):
-            node.name = f"{node.op_type}_{index}"
+        model = _named(onnx.load(bundle))
+        _weights_of_their_own(model.graph)
         onnx.save(onnx.shape_inference.infer_shapes(model, data_prop=True), source)
         convert(source, target)
         return without_dead_ends(onnx.load(target))
 
 
-def _large_products(bundle: Path) -> list[str]:
-    """Names, as `_converted` gives them, of products and convolutions worth converting."""
-    graph = read_onnx(bundle.read_bytes()).graph
-    weights = {name: tensor.shape for name, tensor in graph.initializers.items()}
-    model = onnx.shape_inference.infer_shapes(onnx.load(bundle), data_prop=True)
-    shapes = {
-        value.name: [dim.dim_value for dim in value.type.tensor_type.shape.dim] for value in model.graph.value_info
-    }
-    large = []
-    for index, node in enumerate(graph.nodes):
-        if node.kind not in ("Conv", "Gemm", "MatMul") or node.inputs[1] not in weights:
+def _weights_of_their_own(graph: onnx.GraphProto) -> None:
+    """A copy of each weight for every product that uses it: the converter transposes a shared one once only."""
+    tensors = {tensor.name: tensor for tensor in graph.initializer}
+    used: set[str] = set()
+    for node in graph.node:
+        if node.op_type not in ("Conv", "Gemm", "MatMul"):
             continue
-        out, kernel = shapes.get(node.outputs[0]), weights[node.inputs[1]]
-        if out and np.prod(out) * np.prod(kernel) / max(out[1] if node.kind == "Conv" else out[-1], 1) >= (
-            MIXED_MULTIPLICATIONS
-        ):
-            large.append(f"{node.kind}_{index}")
-    return large
+        for place, name in enumerate(node.input):
+            if name in tensors and name in used:
+                copy = graph.initializer.add()
+                copy.CopyFrom(tensors[name])
+                copy.name = node.input[place] = f"{name}_of_{node.name}"
+            used.add(name)
+
+
+def _named(model: onnx.ModelProto) -> onnx.ModelProto:
+    for index, node in enumerate(model.graph.node):
+        node.name = f"{node.op_type}_{index}"
+    return model
+
+
+def _layers(bundle: Path) -> dict[str, float]:
+    """Layers with weights, by the name `_named` gives them, and how often each multiplies."""
+    model = _named(onnx.shape_inference.infer_shapes(onnx.load(bundle), data_prop=True))
+    graph = model.graph
+    weights = {tensor.name: tensor.dims for tensor in graph.initializer}
+    shapes = {
+        value.name: [dim.dim_value for dim in value.type.tensor_type.shape.dim]
+        for value in (*graph.value_info, *graph.output)
+    }
+    found = {}
+    for node in graph.node:
+        if node.op_type not in ("Conv", "Gemm", "MatMul") or node.input[1] not in weights:
+            continue
+        kernel, made = weights[node.input[1]], np.prod(shapes[node.output[0]])
+        if node.op_type == "Conv":
+            found[node.name] = float(made * np.prod(kernel[1:]))
+            continue
+        transposed = any(attribute.name == "transB" and attribute.i for attribute in node.attribute)
+        inputs = kernel[-1] if transposed else kernel[-2]
+        if inputs >= LEAST_INPUTS:
+            found[node.name] = float(made * inputs)
+    return found
