@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import onnx
 from numpy.typing import NDArray
+from onnx import helper, numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_dynamic, quantize_static
 
 from page_export.parity import Inputs
@@ -19,8 +20,8 @@ from page_runtime.network import feeds
 CALIBRATION_FRAMES = 32
 # Layers with fewer inputs are places, frames and indices of points: geometry, which needs its digits.
 LEAST_INPUTS = 32
-# In the mixed form smaller layers stay in float32, too: heads and frames of parts decide on poses, and converting to and
-# from 8 bits costs as much as they do.
+# In the mixed form smaller layers stay in float32, too: heads and frames of parts decide on poses, and converting to
+# and from 8 bits costs as much as they do.
 MIXED_MULTIPLICATIONS = 4_000_000
 
 # The converter replaces Gemm by MatMul and Add and then looks in vain for the type of what is between them.
@@ -95,13 +96,17 @@ def without_dead_ends(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def _half(bundle: Path, layers: list[str]) -> onnx.ModelProto:
-    from onnxruntime.transformers.float16 import convert_float_to_float16
-
+    """The layers' weights stored in half precision, computed with in float32: CPUs have few kernels for halves, and a
+    conversion of what is between the layers cannot even count the pixels of a map."""
     model = _named(onnx.load(bundle))
-    # All but the layers, what normalises them and what is between: half precision cannot even count a map's pixels.
-    halves = {*layers, *(node.name for node in model.graph.node if node.op_type in ("LayerNormalization", "Relu"))}
-    rest = [node.name for node in model.graph.node if node.name not in halves]
-    return convert_float_to_float16(model, keep_io_types=True, node_block_list=rest)
+    graph = model.graph
+    weights = {node.input[1] for node in graph.node if node.name in layers}
+    for tensor in [tensor for tensor in graph.initializer if tensor.name in weights]:
+        half = numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float16), f"{tensor.name}_half")
+        graph.node.insert(0, helper.make_node("Cast", [half.name], [tensor.name], to=onnx.TensorProto.FLOAT))
+        graph.initializer.remove(tensor)
+        graph.initializer.append(half)
+    return model
 
 
 def _dynamic(source: Path, target: Path, layers: list[str]) -> None:
