@@ -84,6 +84,8 @@ def test_the_quickest_form_whose_poses_hold_is_recommended() -> None:
     assert recommended([original, good, poor], 1.5).name == "poor"
     assert recommended([original, poor]).name == "fp32"
     assert recommended([original, replace(good, failures=0.05)]).name == "fp32"
+    small = replace(measured("small", 8.1, 1.0), size_bytes=0)
+    assert recommended([original, good, small]).name == "small"
     assert recommended([original, measured("no poses", 5.0, float("nan"))]).name == "fp32"
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from page_runtime.estimator import estimate
     from page_runtime.frame import RgbdFrame
     from page_runtime.image_files import SourceError
-    from page_runtime.network import Network
+    from page_runtime.network import DeadlineExceeded, Network
     from page_runtime.overlay import draw
     from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
     from page_runtime.recorded import Instance, PartTruth, RecordedFrame, Source
@@ -34,6 +34,7 @@ _MODULE_OF_NAME = {
     "BundleMetadata": "bundle",
     "Camera": "camera",
     "Category": "category",
+    "DeadlineExceeded": "network",
     "Instance": "recorded",
     "Joint": "category",
     "Network": "network",
@@ -59,6 +60,7 @@ __all__ = [
     "BundleMetadata",
     "Camera",
     "Category",
+    "DeadlineExceeded",
     "Instance",
     "Joint",
     "Network",
