@@ -63,7 +63,7 @@ def table(results: list[Measured], best: Measured, bound: float, frames: int) ->
     for one in results:
         latency = [f"{one.latency[threads].p50_ms:.1f} / {one.latency[threads].p95_ms:.1f}" for threads in (1, 2)]
         refused = one is not results[0] and one.refused(bound, results[0].failures)
-        verdict = "recommended" if one is best else f"refused: over {bound:g}" if refused else ""
+        verdict = "recommended" if one is best else f"refused: over {bound:g}, or more failures" if refused else ""
         lines.append(
             f"{one.name:14s} {one.size_bytes / 1e6:6.2f} {one.load_ms:8.0f} {latency[0]:>17s} {latency[1]:>18s} "
             f"{one.rotation_deg:6.2f} {one.translation_mm:6.2f} {100 * one.failures:7.1f} % {one.error:6.2f}  {verdict}"
