@@ -142,7 +142,10 @@ ATTACKS: dict[str, tuple[Callable[[onnx.ModelProto], Any], str]] = {
     "data outside the file": (external_data, "data outside the file"),
     "a tensor larger than its data": (giant_tensor, "needs .* bytes, got"),
     "a tensor whose size overflows": (overflowing_tensor, "needs .* bytes, got 0"),
-    "a tensor of texts": (lambda m: m.graph.initializer.append(helper.make_tensor("t", 8, [1], [b"x"])), "raw data"),
+    "a tensor of texts": (
+        lambda m: m.graph.initializer.append(numpy_helper.from_array(np.array(["x"], object), "t")),
+        "raw data",
+    ),
     "column times row": (column_times_row, r"'MatMul'\): 'bomb' would be \[131072, 131072\]"),
     "column plus row": (column_plus_row, r"'Add'\): 'bomb' would be"),
     "doubled forty times": (doubled_forty_times, "'Concat'.* would be"),

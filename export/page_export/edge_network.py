@@ -268,8 +268,9 @@ def linear(layer: nn.Linear, pieces: list[Tensor]) -> Tensor:
     return total
 
 
-def dense(layer: Dense, pieces: list[Tensor]) -> Tensor:
+def dense(layer: nn.Module, pieces: list[Tensor]) -> Tensor:
     """`Dense` of pieces side by side."""
+    assert isinstance(layer, Dense)
     product, norm = layer[0], layer[1]
     assert isinstance(product, nn.Linear)
     return functional.relu(norm(linear(product, pieces)))
