@@ -14,8 +14,10 @@ import pytest
 
 import toy
 from broken_recordings import BROKEN_RECORDINGS
+from page_export.bundle_writer import bundle_bytes
 from page_runtime.bundle import METADATA_KEY
 from page_runtime.cli import main
+from page_runtime.onnx_file import sealed
 from page_runtime.recorded import Instance, RecordedFrame
 from page_runtime.recording import RecordingWriter
 
@@ -60,8 +62,7 @@ def test_a_broken_recording_is_refused_in_a_sentence(
 
 def model_without_metadata(path: Path, good: Path) -> None:
     model = onnx.load(good)
-    del model.metadata_props[:]
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(bundle_bytes(model, None))
 
 
 def model_with_metadata(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path, Path], None]:
@@ -71,7 +72,7 @@ def model_with_metadata(change: Callable[[dict[str, Any]], Any]) -> Callable[[Pa
         document = json.loads(entry.value)
         change(document)
         entry.value = json.dumps(document)
-        path.write_bytes(model.SerializeToString())
+        path.write_bytes(sealed(model.SerializeToString()))
 
     return apply
 
@@ -80,7 +81,7 @@ BROKEN_BUNDLES: dict[str, tuple[Callable[[Path, Path], Any], str]] = {
     "absent": (lambda _path, _good: None, "no file"),
     "a folder": (lambda path, _: path.mkdir(), "no file"),
     "empty": (lambda path, _: path.touch(), "got 0"),
-    "text": (lambda path, _: path.write_text("weights"), "onnxruntime cannot load it"),
+    "text": (lambda path, _: path.write_text("weights"), "is it a complete .onnx file"),
     "truncated": (lambda path, good: path.write_bytes(good.read_bytes()[:-200]), "bundle .*broken.onnx"),
     "half": (lambda path, good: path.write_bytes(good.read_bytes()[: good.stat().st_size // 2]), "bundle .*broken"),
     "a model of something else": (model_without_metadata, "no 'page.bundle' in the metadata"),

@@ -13,6 +13,7 @@ from onnx import helper, numpy_helper
 
 from page_runtime.bundle import BundleError
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
+from page_runtime.onnx_file import sealed
 
 
 def rewired(bundle: Path, path: Path, name: str, dtype: type, shape: list[Any]) -> Path:
@@ -33,7 +34,7 @@ def rewired(bundle: Path, path: Path, name: str, dtype: type, shape: list[Any]) 
         graph.node.append(helper.make_node("Identity", ["constant"], [name]))
     value.CopyFrom(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape))
     onnx.checker.check_model(model)
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(sealed(model.SerializeToString()))
     return path
 
 

@@ -15,7 +15,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from page_runtime.bundle import METADATA_KEY, BundleMetadata
+from page_export.bundle_writer import bundle_bytes
+from page_runtime.bundle import BundleMetadata
 from page_runtime.camera import Camera
 from page_runtime.category import Category, Joint, Part
 from page_runtime.frame import RgbdFrame
@@ -198,10 +199,7 @@ def save_bundle(
         constants,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
-    if metadata:
-        provenance = {"recipe": "oracle of a test"}
-        document = BundleMetadata(category, LEVELS[0], IMAGE_SIZE, 0.005, 18, False, provenance)
-        helper.set_model_props(model, {METADATA_KEY: document.to_json()})
+    document = BundleMetadata(category, LEVELS[0], IMAGE_SIZE, 0.005, 18, False, {"recipe": "oracle of a test"})
     onnx.checker.check_model(model)
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(bundle_bytes(model, document if metadata else None))
     return path

@@ -10,7 +10,8 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from page_runtime.bundle import METADATA_KEY, BundleMetadata
+from page_export.bundle_writer import bundle_bytes, write_file
+from page_runtime.bundle import BundleMetadata
 from page_runtime.capture.playback import open_source
 from page_runtime.confidence import FEATURES, RIGHT_ROTATION_RAD, RIGHT_TRANSLATION_M, ConfidenceModel, features
 from page_runtime.estimator import estimate
@@ -103,9 +104,4 @@ def cross_fitted(examples: Examples, folds: int = 5) -> NDArray[np.float64]:
 
 def write_confidence(bundle: Path, metadata: BundleMetadata, model: ConfidenceModel | None) -> None:
     """Put the model into the bundle file, whole or not at all."""
-    graph = onnx.load(bundle)
-    entry = next(entry for entry in graph.metadata_props if entry.key == METADATA_KEY)
-    entry.value = replace(metadata, confidence=model).to_json()
-    partial = bundle.with_suffix(".partial")
-    partial.write_bytes(graph.SerializeToString())
-    partial.rename(bundle)
+    write_file(bundle_bytes(onnx.load(bundle), replace(metadata, confidence=model)), bundle)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from page_export.parity import Parity
-
-# Above these a bundle is another network than its checkpoint (float32 reordering gives a tenth of them).
-MAX_OUTPUT_DIFFERENCE = 1e-3
-MAX_ROTATION_DEG = 0.1
-MAX_TRANSLATION_MM = 0.5
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -36,10 +33,14 @@ def main(arguments: list[str] | None = None) -> int:
     )
     onnx.add_argument("--note", default="", help="a line for the bundle's provenance")
     onnx.set_defaults(run_command=_onnx)
-    verify = commands.add_parser("verify", help="compare a bundle with its checkpoint on a recording")
+    verify = commands.add_parser(
+        "verify", help="compare a bundle with its checkpoint on a recording; kept in the bundle"
+    )
     verify.add_argument("bundle", type=Path)
     verify.add_argument("--against", type=Path, required=True, metavar="CHECKPOINT")
     verify.add_argument("--data", type=Path, required=True, metavar="RECORDING")
+    verify.add_argument("--json", type=Path, metavar="FILE", help="write the differences here")
+    verify.add_argument("--frames", type=int, default=50, help="regions compared (default: 50)")
     verify.set_defaults(run_command=_verify)
     scorer = commands.add_parser(
         "scorer", help="network and scorer as one graph, for accelerators; compared with the numpy scorer"
@@ -50,6 +51,22 @@ def main(arguments: list[str] | None = None) -> int:
     scorer.add_argument("--beam", type=int, help="cells kept on each level (default: 384)")
     scorer.add_argument("--threads", type=int, default=2)
     scorer.set_defaults(run_command=_scorer)
+    optimise = commands.add_parser("optimise", help="smaller and quicker forms of a bundle, measured; recommends one")
+    optimise.add_argument("bundle", type=Path)
+    optimise.add_argument("--data", type=Path, required=True, metavar="RECORDING", help="with truth, of validation")
+    optimise.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="where the forms are written")
+    optimise.add_argument(
+        "--frames", type=int, default=50, help="regions measured on; the others calibrate (default: 50)"
+    )
+    optimise.add_argument("--max-pose-error", type=float, default=1.1, help="of the original's (default: 1.1)")
+    optimise.add_argument("--json", type=Path, metavar="FILE", help="write the table here")
+    optimise.set_defaults(run_command=_optimise)
+    profile = commands.add_parser("profile", help="where a forward pass takes its time, operator by operator")
+    profile.add_argument("bundle", type=Path)
+    profile.add_argument("--data", type=Path, required=True, metavar="RECORDING")
+    profile.add_argument("--threads", type=int, default=1)
+    profile.add_argument("--top", type=int, default=25, help="single operators shown (default: 25)")
+    profile.set_defaults(run_command=_profile)
     calibrate = commands.add_parser("calibrate", help="fit the bundle's confidence on validation recordings")
     calibrate.add_argument("bundle", type=Path)
     calibrate.add_argument(
@@ -80,18 +97,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _report(parity: Parity) -> int:
-    for name, difference in parity.outputs.items():
-        print(f"{name:12s} max difference {difference:.2e}")
-    print(f"{'poses':12s} max {parity.rotation_deg:.4f} deg, {parity.translation_mm:.4f} mm")
+    document = parity.document()
+    print(f"{'':14s} {'max':>9s} {'mean':>9s} {'bound':>9s}")
+    rows = [*document["outputs"].items(), *((name, document[name]) for name in ("rotation_deg", "translation_mm"))]
+    for name, row in rows:
+        print(f"{name:14s} {row['max']:9.2e} {row['mean']:9.2e} {row['bound']:9.2e}")
     print(f"{parity.samples} samples, {parity.disagreements} parts with a pose from only one of the two")
-    same = (
-        max(parity.outputs.values()) <= MAX_OUTPUT_DIFFERENCE
-        and parity.rotation_deg <= MAX_ROTATION_DEG
-        and parity.translation_mm <= MAX_TRANSLATION_MM
-        and parity.disagreements == 0
-    )
-    print("same network" if same else "NOT the same network")
-    return 0 if same else 1
+    print("same network" if parity.holds else "NOT the same network")
+    return 0 if parity.holds else 1
 
 
 def _commit() -> str:
@@ -107,7 +120,8 @@ def _commit() -> str:
 
 def _onnx(options: argparse.Namespace) -> int:
     from page_export.onnx_export import graph_of, write_bundle
-    from page_export.parity import compare_on
+    from page_export.parity import checkpoint_run, compare, samples_of
+    from page_runtime.capture.playback import open_source
     from page_runtime.network import Network
     from page_training.templates import with_templates
     from page_training.trained import load_trained
@@ -127,22 +141,76 @@ def _onnx(options: argparse.Namespace) -> int:
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.onnx"
         write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
-        parity = compare_on(Network(trial), trained.network, options.compare_on)
+        bundle = Network(trial, threads=1)
+        run = checkpoint_run(bundle.metadata, trained.network)
+        samples = samples_of(bundle.metadata, open_source(options.compare_on))
+        parity = compare(bundle.metadata, bundle.run_raw, run, samples)
     code = _report(parity)
     if code == 0:
-        provenance["parity"] = asdict(parity)
+        provenance["parity"] = _kept(parity, options.checkpoint, options.compare_on)
         write_bundle(model, category, options.output, mirrored=mirrored, provenance=provenance)
         print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
     return code
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from page_export.parity import compare_on
+    import onnx
+
+    from page_export.bundle_writer import bundle_bytes, write_file
+    from page_export.parity import checkpoint_run, compare, samples_of
+    from page_runtime.capture.playback import open_source
     from page_runtime.network import Network
     from page_training.trained import load_trained
 
-    network = load_trained(options.against).network
-    return _report(compare_on(Network(options.bundle), network, options.data))
+    if options.frames < 1:
+        raise ValueError(f"--frames: expected at least 1, got {options.frames}")
+    bundle = Network(options.bundle, threads=1)
+    metadata, trained = bundle.metadata, load_trained(options.against)
+    if trained.category.name != metadata.category.name:
+        raise ValueError(
+            f"{options.bundle} is for {metadata.category.name!r}, {options.against} for {trained.category.name!r}"
+        )
+    samples = samples_of(metadata, open_source(options.data), options.frames)
+    parity = compare(metadata, bundle.run_raw, checkpoint_run(metadata, trained.network), samples)
+    code = _report(parity)
+    kept = _kept(parity, options.against, options.data)
+    if options.json is not None:
+        write_file((json.dumps(kept, indent=1) + "\n").encode(), options.json)
+    if code == 0:
+        stated = replace(metadata, provenance={**metadata.provenance, "parity": kept})
+        write_file(bundle_bytes(onnx.load(options.bundle), stated), options.bundle)
+    return code
+
+
+def _kept(parity: Parity, checkpoint: Path, data: Path) -> dict[str, Any]:
+    """What a bundle keeps of a comparison: of what with what, too."""
+    digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+    return {"checkpoint_sha256": digest, "data": data.resolve().name, **parity.document()}
+
+
+def _optimise(options: argparse.Namespace) -> int:
+    from page_export import optimise_command
+
+    return optimise_command.run(options)
+
+
+def _profile(options: argparse.Namespace) -> int:
+    from page_export.parity import samples_of
+    from page_export.profile import profiled
+    from page_runtime.bundle_file import read_bundle
+    from page_runtime.capture.playback import open_source
+
+    if options.threads < 1 or options.top < 0:
+        raise ValueError(f"--threads, --top: expected at least 1 and 0, got {options.threads} and {options.top}")
+    samples = list(samples_of(read_bundle(options.bundle).metadata, open_source(options.data), 10))
+    profile = profiled(options.bundle, samples, threads=options.threads)
+    total = sum(kind.ms for kind in profile.kinds)
+    print(f"{options.threads} threads: {profile.pass_ms:.2f} ms a pass, {total:.2f} ms of it in operators (medians)")
+    for kind in profile.kinds:
+        print(f"{kind.ms:8.3f} ms  {100 * kind.ms / total:5.1f} %  {kind.count:4d}  {kind.name}")
+    for one in profile.operators[: options.top]:
+        print(f"{one.ms:8.3f} ms  {one.name}  {one.shapes}")
+    return 0
 
 
 def _scorer(options: argparse.Namespace) -> int:

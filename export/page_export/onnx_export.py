@@ -13,7 +13,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from page_runtime.bundle import METADATA_KEY, BundleMetadata
+from page_export.bundle_writer import bundle_bytes, write_file
+from page_export.edge_network import EdgeNetwork
+from page_export.simplified import simplified
+from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
@@ -69,7 +72,7 @@ def example_inputs() -> tuple[Tensor, ...]:
 
 def graph_of(network: PageNetwork) -> onnx.ModelProto:
     """The network as a checked ONNX model of standard operators, without metadata."""
-    return exported(RuntimeSignature(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES)
+    return simplified(exported(EdgeNetwork(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES))
 
 
 def exported(
@@ -92,14 +95,6 @@ def exported(
     foreign = {node.domain for node in model.graph.node} - {""}
     if foreign:
         raise ValueError(f"export: expected standard operators only, got domains {sorted(foreign)}")
-    # The exporter notes Python stack traces everywhere: half the file, and paths of this machine.
-    del model.metadata_props[:]
-    del model.graph.metadata_props[:]
-    for value in (*model.graph.value_info, *model.graph.input, *model.graph.output, *model.graph.initializer):
-        del value.metadata_props[:]
-    for node in model.graph.node:
-        del node.metadata_props[:]
-        node.doc_string = ""
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -117,10 +112,4 @@ def write_bundle(
         mirrored=mirrored,
         provenance=provenance,
     )
-    del model.metadata_props[:]
-    entry = model.metadata_props.add()
-    entry.key, entry.value = METADATA_KEY, metadata.to_json()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_bytes(model.SerializeToString())
-    partial.rename(path)
+    write_file(bundle_bytes(model, metadata), path)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from page_runtime.live.loop import LiveLoop
     from page_runtime.live.result import LiveObject, LiveResult, LoopCounts
     from page_runtime.live.start import live_results
-    from page_runtime.network import Network
+    from page_runtime.network import DeadlineExceeded, Network
     from page_runtime.overlay import draw
     from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
     from page_runtime.recorded import Instance, PartTruth, RecordedFrame, Source
@@ -37,6 +37,7 @@ _MODULE_OF_NAME = {
     "BundleMetadata": "bundle",
     "Camera": "camera",
     "Category": "category",
+    "DeadlineExceeded": "network",
     "Instance": "recorded",
     "Joint": "category",
     "LiveLoop": "live.loop",
@@ -67,6 +68,7 @@ __all__ = [
     "BundleMetadata",
     "Camera",
     "Category",
+    "DeadlineExceeded",
     "Instance",
     "Joint",
     "LiveLoop",

@@ -73,8 +73,8 @@ class BundleMetadata:
     def from_json(text: str) -> BundleMetadata:
         """Parse and check; raises BundleError that names the field."""
         try:
-            document = json.loads(text)
-        except json.JSONDecodeError as error:
+            document = json.loads(text, object_pairs_hook=_each_once)
+        except (ValueError, RecursionError) as error:
             raise BundleError(f"bundle metadata: expected JSON, got {error}") from error
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
@@ -92,7 +92,7 @@ class BundleMetadata:
                 provenance=dict(top["provenance"]),
                 confidence=None if top["confidence"] is None else _confidence(top["confidence"]),
             )
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise BundleError(f"bundle metadata: {error}") from error
 
 
@@ -142,7 +142,7 @@ def category_from(document: dict[str, Any]) -> Category:
             mirror=None if top["mirror"] is None else _mirror(_closed(top["mirror"], "mirror", {"axis", "parts"})),
             interchange=None if top["interchange"] is None else _interchange(top["interchange"]),
         )
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BundleError(f"bundle metadata: {error}") from error
 
 
@@ -163,6 +163,14 @@ def _symmetry(entry: Any) -> Symmetry:
 def _triple(entry: dict[str, Any], name: str) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in entry[name])
     return x, y, z
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; two readers would take different ones of a field that is given twice."""
+    entry = dict(pairs)
+    if len(entry) != len(pairs):
+        raise ValueError("a field that is given twice")
+    return entry
 
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints", "mirror", "interchange"}
@@ -205,7 +213,7 @@ def _part(entry: dict[str, Any]) -> Part:
             template=None if entry["template"] is None else template_from(entry["template"]),
             symmetry=None if entry["symmetry"] is None else _symmetry(entry["symmetry"]),
         )
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BundleError(f"bundle metadata, part {entry['name']!r}: {error}") from error
 
 
@@ -223,7 +231,7 @@ def _joint(entry: dict[str, Any]) -> Joint:
             limits=(low, high),
             geometry=None if entry["geometry"] is None else _geometry(entry["geometry"]),
         )
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BundleError(f"bundle metadata, joint {entry['name']!r}: {error}") from error
 
 

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from page_runtime.capture.layouts import LAYOUTS, WINDOW_S
 from page_runtime.commands import argument_types as accept
@@ -23,6 +23,7 @@ from page_runtime.commands.live_options import add_live_options
 from page_runtime.commands.sink_options import add_sink_options
 from page_runtime.commands.usage import UsageError
 from page_runtime.commands.validate_options import add_validate_options
+from page_runtime.providers import PROVIDERS, ProviderChoice
 
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
@@ -46,6 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
+        if "provider" in options:
+            options["on"] = _provider_choice(options)
         _prepare()
         with _termination_as_interrupt():
             return _call(command, options)
@@ -153,10 +156,18 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument("--looks", metavar="N", type=accept.count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        sub.add_argument("--provider", choices=PROVIDERS, default="auto", help=provider_help)
+        provider_option_help = "of the provider, as onnxruntime names it; may be given several times"
+        sub.add_argument(
+            "--provider-option", metavar="KEY=VALUE", action="append", default=[], help=provider_option_help
+        )
+        require_help = "end with an error where the provider cannot run all of the network"
+        sub.add_argument("--require-provider", action="store_true", help=require_help)
         pairs(sub)
 
     window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
     source_help = "a folder or file of RGB-D frames, or a camera: oak, oak:DEVICE"
+    provider_help = "what onnxruntime runs the network on (default: auto, the best it has)"
     looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
     validate_help = "compare estimates with the truth of recordings, of any format and of one category or several"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
@@ -207,6 +218,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     doctor.add_argument("--json", dest="as_json", action="store_true", help="as a JSON object")
     return parser
+
+
+def _provider_choice(options: dict[str, Any]) -> ProviderChoice:
+    """Of the three options about the provider, which it takes out."""
+    pairs = [text.partition("=") for text in options.pop("provider_option")]
+    for key, sign, _ in pairs:
+        if not key or not sign:
+            raise UsageError(f"--provider-option: expected KEY=VALUE, got {key}")
+    values = tuple((key, value) for key, _, value in pairs)
+    return ProviderChoice(options.pop("provider"), values, options.pop("require_provider"))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import Network, NetworkOutput
+from page_runtime.network import DeadlineExceeded, Network, NetworkOutput
 from page_runtime.part_poses import MAX_VOTERS, members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
@@ -31,15 +31,19 @@ def estimate(
     *,
     max_looks: int = MAX_LOOKS,
     max_voters: int = MAX_VOTERS,
+    network_seconds: float | None = None,
 ) -> ArticulatedPose:
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
     time of the first, so 1 is for loops whose time must not vary. max_voters: of a part's points, at most so many vote.
+    network_seconds: DeadlineExceeded where a forward pass takes longer; in a further look, the answer there is stays.
     Raises ValueError for a region outside the image.
     """
-    return examine(network, frame, region, max_looks=max_looks, max_voters=max_voters).pose
+    return examine(
+        network, frame, region, max_looks=max_looks, max_voters=max_voters, network_seconds=network_seconds
+    ).pose
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,6 +63,7 @@ def examine(
     *,
     max_looks: int = MAX_LOOKS,
     max_voters: int = MAX_VOTERS,
+    network_seconds: float | None = None,
 ) -> Examined:
     """`estimate`, with the points of the region and what the network said of them."""
     metadata = network.metadata
@@ -67,7 +72,7 @@ def examine(
     watch.stage("sampling")
     if isinstance(sample, str):
         return Examined(replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms))
-    output = network.run(sample, _neighbours(sample))
+    output = network.run(sample, _neighbours(sample), seconds=network_seconds)
     watch.stage("network")
     if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
         # What is nearer is not the object, but something before it.
@@ -75,7 +80,7 @@ def examine(
         watch.stage("sampling")
         if isinstance(behind, RegionSample):
             sample, depth_m = behind, sample.other_depth_m
-            output = network.run(sample, _neighbours(sample))
+            output = network.run(sample, _neighbours(sample), seconds=network_seconds)
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
     first = sample, output
@@ -89,7 +94,11 @@ def examine(
         watch.stage("sampling")
         if isinstance(again, RegionSample):
             again = mirrored_sample(again)
-            output = network.run(again, _neighbours(again))
+            try:
+                output = network.run(again, _neighbours(again), seconds=network_seconds)
+            except DeadlineExceeded:
+                watch.stage("network")
+                break
             watch.stage("network")
             found = pose_from_output(metadata, again, output, watch, max_voters=max_voters)
             other = mirrored_pose(found, metadata.category)

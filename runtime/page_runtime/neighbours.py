@@ -16,6 +16,10 @@ LEVELS = (2048, 512, 128, 32)
 ANSWERED = 1024
 GROUP_SIZE = 16
 INTERPOLATION_SIZE = 3
+# Distances in work at a time: more do not stay in the second cache.
+_BLOCK = 1 << 18
+# So few of so many points are found faster by as many minima than by a partition.
+_FEW, _MANY = 4, 256
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,17 +51,41 @@ def nearest(queries: NDArray[np.float32], points: NDArray[np.float32], count: in
     lifted_queries[:, :3] = -2.0 * queries
     lifted_queries[:, 3] = (queries * queries).sum(axis=1)
     lifted_queries[:, 4] = 1.0
-    lifted_points = np.empty((len(points), 5), np.float32)
-    lifted_points[:, :3] = points
-    lifted_points[:, 3] = 1.0
-    lifted_points[:, 4] = (points * points).sum(axis=1)
-    squared = lifted_queries @ lifted_points.T
-    np.maximum(squared, 0.0, out=squared)
-    keys = squared.view(np.int32)
-    keys &= ~mask
-    keys |= np.arange(len(points), dtype=np.int32)
+    lifted_points = np.empty((5, len(points)), np.float32)
+    lifted_points[:3] = points.T
+    lifted_points[3] = 1.0
+    lifted_points[4] = (points * points).sum(axis=1)
+    index = np.arange(len(points), dtype=np.int32)
+    smallest = _least if count <= _FEW and len(points) > _MANY else _partitioned
+    found = np.empty((len(queries), count), np.int32)
+    block = max(_BLOCK // len(points), 1)
+    squared = np.empty((min(block, len(queries)), len(points)), np.float32)
+    for begin in range(0, len(queries), block):
+        rows = lifted_queries[begin : begin + block]
+        distances = squared[: len(rows)]
+        np.matmul(rows, lifted_points, out=distances)
+        np.maximum(distances, 0.0, out=distances)
+        keys = distances.view(np.int32)
+        keys &= ~mask
+        keys |= index
+        found[begin : begin + block] = smallest(keys, count, mask)
+    found &= mask
+    return found
+
+
+def _partitioned(keys: NDArray[np.int32], count: int, _: np.int32) -> NDArray[np.int32]:
     keys.partition(count - 1, axis=1)
-    return keys[:, :count] & mask
+    return keys[:, :count]
+
+
+def _least(keys: NDArray[np.int32], count: int, mask: np.int32) -> NDArray[np.int32]:
+    """The same, smallest first: one minimum after the other, each taken out before the next."""
+    found = np.empty((len(keys), count), np.int32)
+    rows = np.arange(len(keys))
+    for nth in range(count):
+        found[:, nth] = keys.min(axis=1)
+        keys[rows, found[:, nth] & mask] = np.iinfo(np.int32).max
+    return found
 
 
 def find_neighbours(points: NDArray[np.float32], *, answered: int = ANSWERED) -> Neighbours:

@@ -17,6 +17,7 @@ from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.content_hash import sha256_of
 from page_runtime.machine import commit, governors, load_average
+from page_runtime.providers import ProviderChoice, short_name
 from page_runtime.recorded import Source
 from page_runtime.report.bench_page import bench_page
 from page_runtime.sweep import VARIES, Sweep, run_sweep, sweep_from
@@ -35,6 +36,7 @@ def bench(
     compare: Sequence[Path] | None,
     window_s: float,
     threads: int,
+    on: ProviderChoice,
     looks: int,
     quiet: bool,
 ) -> int:
@@ -49,11 +51,11 @@ def bench(
     sweeps = _sweeps(sweep)
     if any(not 0 < one < float("inf") for one in budget):
         raise UsageError(f"--budget: expected milliseconds above 0, got {min(budget)}")
-    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, window_s=window_s, command="bench")
+    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, on=on, window_s=window_s, command="bench")
     require_file_place(json, option="--json")
     require_file_place(report, option="--report")
     document, windows = _measured(inputs, recording, bundle, budget=budget, window_s=window_s, quiet=quiet)
-    document["sweeps"] = _swept(inputs, bundle, sweeps, quiet=quiet)
+    document["sweeps"] = _swept(inputs, bundle, sweeps, on=on, quiet=quiet)
     if json is not None:
         write_json(json, document)
     if report is not None:
@@ -93,6 +95,7 @@ def _measured(
         "looks": inputs.looks,
         "frames": len(inputs.source),
         "left_out": sum(window.left_out for window in windows),
+        "operators": {short_name(name): count for name, count in inputs.network.operators.items()},
         "cold_start": cold,
         "governor": governors(),
         "load": [load_before, load_average()],
@@ -101,7 +104,9 @@ def _measured(
     return document, windows
 
 
-def _swept(inputs: Inputs[Source], bundle: Path, sweeps: Sequence[Sweep], *, quiet: bool) -> list[dict[str, Any]]:
+def _swept(
+    inputs: Inputs[Source], bundle: Path, sweeps: Sequence[Sweep], *, on: ProviderChoice, quiet: bool
+) -> list[dict[str, Any]]:
     found = []
     for sweep in sweeps:
         with Progress(f"sweep of {sweep.varies}, value", len(sweep.values), quiet=quiet) as progress:
@@ -109,7 +114,7 @@ def _swept(inputs: Inputs[Source], bundle: Path, sweeps: Sequence[Sweep], *, qui
                 sweep,
                 inputs.network,
                 inputs.source,
-                load=lambda threads: load_network(bundle, threads=threads, looks=inputs.looks)[0],
+                load=lambda threads: load_network(bundle, threads=threads, looks=inputs.looks, on=on)[0],
                 max_looks=inputs.looks,
                 on_step=progress.advance,
             )
@@ -161,6 +166,8 @@ def readable(document: dict[str, Any]) -> str:
         f"{document['recording']}: {document['measurements']} estimates of {document['frames']} frames after "
         f"{document['warm_up']} of warm-up, bundle {document['bundle']}"
     )
+    on = ", ".join(f"{name} ({count} operators)" for name, count in document["operators"].items())
+    on = ", ".join(f"{name} ({count} operators)" for name, count in document["operators"].items())
     versions = ", ".join(f"{name} {value}" for name, value in document["versions"].items())
     governor = f", governor {', '.join(document['governor'])}" if document["governor"] else ""
     cold, jitter, energy = document["cold_start"], document["jitter"], document["energy"]
@@ -179,7 +186,7 @@ def readable(document: dict[str, Any]) -> str:
         f"peak resident memory {number(document['peak_rss_mb'], 0)} MB\n"
         + (f"{number(energy['per_estimate_j'], 2)} J an estimate, all of the package\n" if energy else "")
         + f"{document['threads']} threads, {document['cpu']}{governor}, load {number(document['load'][0], 1)} to "
-        f"{number(document['load'][1], 1)}\n"
+        f"{number(document['load'][1], 1)}; the network runs on {on}\n"
         f"{versions}\n" + "".join(_sweep(sweep) for sweep in document["sweeps"])
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
 from page_runtime.pose import NO_REGION, ArticulatedPose, not_seen
+from page_runtime.providers import AUTO, CPU, CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described
 from page_runtime.recorded import FrameSource, Instance, RecordedFrame, Source
 from page_runtime.sampling import Region, check_region
 
@@ -33,20 +35,27 @@ class Inputs(Generic[AnySource]):
     region: Region | None = None
 
 
-def load_network(bundle: Path, *, threads: int, looks: int) -> tuple[Network, int]:
-    """The bundle's network, and the threads it was given; threads 0: one for each processor."""
+def load_network(bundle: Path, *, threads: int, looks: int, on: ProviderChoice = ON_CPU) -> tuple[Network, int]:
+    """The bundle's network, and the threads it was given; threads 0: one for each processor. What it runs on is told
+    where it is not the CPU."""
     if looks < 1:
         raise UsageError(f"--looks: expected at least 1, got {looks}")
     threads = threads or available_threads()
     cv2.setNumThreads(threads)
-    return Network(bundle, threads=threads), threads
+    try:
+        network = Network(bundle, threads=threads, on=on)
+    except ProviderError as error:
+        raise UsageError(str(error)) from error
+    if network.operators.keys() != {CPU_PROVIDER} or on.provider not in (AUTO, CPU):
+        sys.stderr.write(f"page-runtime: the network runs on {described(network.operators)}\n")
+    return network, threads
 
 
 def open_inputs(
-    source: str, bundle: Path, *, threads: int, looks: int, window_s: float, command: str
+    source: str, bundle: Path, *, threads: int, looks: int, on: ProviderChoice, window_s: float, command: str
 ) -> Inputs[Source]:
     """Load a bundle and open a recording with regions; errors say what does not fit."""
-    network, threads = load_network(bundle, threads=threads, looks=looks)
+    network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     opened = open_recorded(source, window_s=window_s, command=command)
     require_fitting(bundle, network, source, opened)
     require_region(source, opened, None)

@@ -25,6 +25,7 @@ from page_runtime.live.loop import LiveLoop
 from page_runtime.live.masks import MaskFolder
 from page_runtime.live.result import LiveResult, LoopCounts
 from page_runtime.network import Network
+from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
 from page_runtime.sinks.queue import Sinks
@@ -48,6 +49,7 @@ def live(
     frames: int,
     window_s: float,
     threads: int,
+    on: ProviderChoice,
     looks: int,
     quiet: bool,
     **where_to: Any,
@@ -57,7 +59,7 @@ def live(
 
     Ctrl-C and SIGTERM end it well after the frame of the moment; a second one interrupts.
     """
-    network, threads = load_network(bundle, threads=threads, looks=looks)
+    network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     sink_options = SinkOptions(**where_to)
     if sink_options == SinkOptions():
         sink_options = SinkOptions(out=STDOUT)
@@ -81,6 +83,7 @@ def live(
         )
         deadline_s = None if deadline_ms is None else 1e-3 * deadline_ms
         loop = LiveLoop(found, follower, deadline_s=deadline_s, name=source)
+        network.warm_up()
         with (
             _ended_by_status(status, loop) as state,
             open_sinks(

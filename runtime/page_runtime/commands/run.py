@@ -10,6 +10,7 @@ from page_runtime.commands.outputs import overlay_output, require_file_place, re
 from page_runtime.commands.sources import frames_of, is_live, opened, total_of
 from page_runtime.commands.terminal import Progress
 from page_runtime.overlay import draw
+from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
 from page_runtime.schema import json_line, pose_record
@@ -25,6 +26,7 @@ def run(
     frames: int,
     window_s: float,
     threads: int,
+    on: ProviderChoice,
     looks: int,
     quiet: bool,
 ) -> None:
@@ -49,11 +51,12 @@ def run(
             frames=frames,
             window_s=window_s,
             threads=threads,
+            on=on,
             looks=looks,
             quiet=quiet,
         )
         return
-    network, threads = load_network(bundle, threads=threads, looks=looks)
+    network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     require_file_place(out, option="--out")
     require_folder_place(overlay, option="--overlay")
     with opened(source, window_s=window_s) as found:

@@ -17,6 +17,7 @@ from page_runtime.commands.usage import UsageError
 from page_runtime.commands.validation_tables import readable
 from page_runtime.content_hash import sha256_of
 from page_runtime.network import Network
+from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import Source
 from page_runtime.report.validation_page import validation_page
 from page_runtime.report.worst import worst_objects
@@ -48,6 +49,7 @@ def validate(
     seed: int,
     window_s: float,
     threads: int,
+    on: ProviderChoice,
     looks: int,
     quiet: bool,
 ) -> None:
@@ -59,13 +61,13 @@ def validate(
         raise UsageError("--cluster: it has its own processes and draws no pictures; leave --processes, --overlay out")
     choices = _choices(symmetry)
     threads = threads or THREADS
-    studies = _studies(recordings, bundle, threads=threads, looks=looks, window_s=window_s, choices=choices)
+    studies = _studies(recordings, bundle, threads=threads, looks=looks, on=on, window_s=window_s, choices=choices)
     for path, option in ((json, "--json"), (report, "--report")):
         require_file_place(path, option=option)
     for path, option in ((overlay, "--overlay"), (results, "--results")):
         require_folder_place(path, option=option)
     folder = None if results is None else ResultsFolder(results)
-    settings = {"looks": looks, "window_s": window_s, "threads": threads, "symmetry": choices}
+    settings = {"looks": looks, "window_s": window_s, "threads": threads, "symmetry": choices, "on": on}
     with _pictures(overlay, studies) as places:
         tasks = {study.name: study.tasks(pictures=places[study.name], **settings) for study in studies}
         every = [task for own in tasks.values() for task in own]
@@ -75,7 +77,7 @@ def validate(
     if json is not None:
         write_json(json, document)
     if report is not None:
-        worst = worst_objects(studies, comparisons, looks=looks, threads=threads)
+        worst = worst_objects(studies, comparisons, looks=looks, threads=threads, on=on)
         with text_output(report) as file:
             file.write(validation_page(document, comparisons, worst))
     sys.stdout.write(readable(document, paper=paper))
@@ -94,11 +96,12 @@ def _studies(
     *,
     threads: int,
     looks: int,
+    on: ProviderChoice,
     window_s: float,
     choices: tuple[SymmetryChoice, ...],
 ) -> list[Study]:
     """Every recording with the bundle of its category; UsageError where one has none, or two."""
-    known = [(path, load_network(path, threads=threads, looks=looks)[0], sha256_of(path)) for path in bundles]
+    known = [(path, load_network(path, threads=threads, looks=looks, on=on)[0], sha256_of(path)) for path in bundles]
     for path, network, _ in known:
         try:
             with_symmetries(network.metadata.category, choices)

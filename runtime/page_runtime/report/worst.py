@@ -15,6 +15,7 @@ from page_runtime.frame import RgbdFrame
 from page_runtime.network import Network
 from page_runtime.overlay import draw
 from page_runtime.pose import NO_REGION, not_seen
+from page_runtime.providers import ON_CPU, ProviderChoice
 from page_runtime.sampling import Region
 from page_runtime.validation.comparison import Comparison
 from page_runtime.validation.study import Study
@@ -47,7 +48,12 @@ def badness(one: Comparison) -> float:
 
 
 def worst_objects(
-    studies: Sequence[Study], comparisons: Mapping[str, Sequence[Comparison]], *, looks: int, threads: int
+    studies: Sequence[Study],
+    comparisons: Mapping[str, Sequence[Comparison]],
+    *,
+    looks: int,
+    threads: int,
+    on: ProviderChoice = ON_CPU,
 ) -> list[DrawnObject]:
     """The MOST worst objects, worst first, estimated once more to be drawn."""
     every = [(study, one) for study in studies for one in comparisons[study.name] if one.parts]
@@ -56,7 +62,7 @@ def worst_objects(
     found = []
     for study, one in chosen:
         if study.bundle_sha256 not in networks:
-            networks[study.bundle_sha256] = Network(study.bundle, threads=threads)
+            networks[study.bundle_sha256] = Network(study.bundle, threads=threads, on=on)
         entry = next(entry for entry in study.source.entries if entry.index == one.frame)
         recorded = entry.read()
         instance = recorded.instances[one.instance]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from page_runtime.category import Category
+from page_runtime.providers import ON_CPU, ProviderChoice
 from page_runtime.recorded import Source
 from page_runtime.validation.comparison import Comparison
 from page_runtime.validation.figures import (
@@ -42,6 +43,7 @@ class Study:
         threads: int,
         symmetry: tuple[SymmetryChoice, ...] = (),
         pictures: Path | None = None,
+        on: ProviderChoice = ON_CPU,
     ) -> list[Task]:
         """All its frames in pieces."""
         return [
@@ -57,6 +59,7 @@ class Study:
                 threads,
                 symmetry,
                 None if pictures is None else str(pictures.resolve()),
+                on,
             )
             for first, last in split(len(self.source), FRAMES_PER_TASK)
         ]

@@ -19,6 +19,7 @@ from page_runtime.image_files import write_color
 from page_runtime.network import Network
 from page_runtime.overlay import draw
 from page_runtime.part_masks import PartMasks, part_masks
+from page_runtime.providers import ON_CPU, ProviderChoice
 from page_runtime.recorded import Source
 from page_runtime.validation.comparison import Comparison, compare_frame
 from page_runtime.validation.symmetry_choice import SymmetryChoice, with_symmetries
@@ -33,7 +34,7 @@ class Task:
     """Frames [first, last) of a recording, by their place in it.
 
     recording, bundle: paths that hold on the machine that does it. recording_sha256, bundle_sha256: of their contents.
-    threads: of onnxruntime and OpenCV. pictures: a folder for an overlay of every frame, None for none.
+    threads: of onnxruntime and OpenCV. on: the provider. pictures: a folder for overlays of all frames, None for none.
     """
 
     recording: str
@@ -47,6 +48,7 @@ class Task:
     threads: int
     symmetry: tuple[SymmetryChoice, ...] = ()
     pictures: str | None = None
+    on: ProviderChoice = ON_CPU
 
     @property
     def frames(self) -> int:
@@ -68,7 +70,7 @@ def split(frames: int, per_task: int = FRAMES_PER_TASK) -> Iterator[tuple[int, i
 def do(task: Task, on_frame: Callable[[], None] = lambda: None) -> tuple[Comparison, ...]:
     """The comparisons of the task's frames, in order. Errors as those of `open_source` and `Network`."""
     cv2.setNumThreads(task.threads)
-    network = _network(task.bundle, task.bundle_sha256, task.threads)
+    network = _network(task.bundle, task.bundle_sha256, task.threads, task.on)
     source, masks = _source(task.recording, task.recording_sha256, task.window_s)
     category = with_symmetries(network.metadata.category, task.symmetry)
     found: list[Comparison] = []
@@ -87,9 +89,9 @@ def do(task: Task, on_frame: Callable[[], None] = lambda: None) -> tuple[Compari
 
 # A process does many tasks of few recordings; loading a network takes as long as several frames.
 @lru_cache(maxsize=2)
-def _network(path: str, sha256: str, threads: int) -> Network:
+def _network(path: str, sha256: str, threads: int, on: ProviderChoice) -> Network:
     del sha256  # A file that has changed is loaded again.
-    return Network(path, threads=threads)
+    return Network(path, threads=threads, on=on)
 
 
 @lru_cache(maxsize=4)

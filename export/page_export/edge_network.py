@@ -1,0 +1,331 @@
+"""The network's function for one object, written in what onnxruntime computes quickly on a CPU.
+
+The same weights and the same numbers as `page_training.network.PageNetwork` in evaluation mode, up to the rounding of
+float32 (a test compares every category, and `page-export onnx` every network it exports), in another order:
+
+- Two dimensions, points by channels: a batch dimension costs a Reshape before and after every product.
+- A linear layer of things side by side is the sum of one product each, accumulated in place, without writing them side
+  by side; a layer of interpolated things is interpolated after the layer, where there are fewer points. The weights of
+  an interpolation sum to one.
+- What is mixed by part (frames, guesses, vectors) is mixed by products with the parts' shares.
+- Layers of the same input are one product; corners of all maps are found together.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from page_runtime.neighbours import ANSWERED, LEVELS
+from page_training.canonical import COORDINATE_SCALE
+from page_training.layers import (
+    ConcatenationFuser,
+    Dense,
+    DenseFuser,
+    FeaturePropagation,
+    GeometryGuidedFuser,
+    SetAbstraction,
+)
+from page_training.network import POSITION_SCALE, REFINEMENTS, PageNetwork
+
+
+class EdgeNetwork(nn.Module):
+    """The exported form of a network, its batch norms folded; inputs and outputs as the runtime has them."""
+
+    def __init__(self, network: PageNetwork) -> None:
+        super().__init__()
+        self.network = network
+        parts, count = network.num_parts, network.num_keypoints
+        self.sampler = CornerSampler(network.image_size, (4, 8, 16), ANSWERED)
+        self.frames = Frames(network)
+        refiner = network.refiner
+        self.register_buffer("located", (refiner.located.weight / COORDINATE_SCALE).t().contiguous())
+        part = torch.zeros(parts, 4, refiner.part.shape[-1])
+        part[:, 3:] = refiner.part
+        self.register_buffer("part", part)
+        # From a part's share to its columns, and from the columns of all parts to their sum.
+        self.register_buffer("spread3", torch.kron(torch.eye(parts), torch.ones(1, 3)))
+        self.register_buffer("spread", torch.kron(torch.eye(parts), torch.ones(1, 3 * count)))
+        self.register_buffer("gathered", torch.kron(torch.ones(parts, 1), torch.eye(3 * count)))
+        self.register_buffer("per_keypoint", torch.eye(count)[:, None, :, None])
+        self.register_buffer("minus_point", -torch.eye(3).repeat(1, count))
+        self.register_buffer("summed", torch.kron(torch.eye(count), torch.ones(3, 1)))
+        fine = network.up1.from_fine.weight
+        self.register_buffer("fine_points", (fine[:, :3] / POSITION_SCALE).t().contiguous())
+        self.register_buffer("fine_in_part", fine[:, 3:].t().repeat(parts, 1))
+        coarse = network.up1.from_coarse.weight
+        channels = network.up2.from_coarse.out_features
+        self.register_buffer("raise_features", coarse[:, :channels].t().contiguous())
+        self.register_buffer("raise_bias", network.up1.from_fine.bias.detach().clone())
+        self.register_buffer("raise_vectors", coarse[:, channels : -3 * count].t().contiguous())
+        self.register_buffer("raise_guess", coarse[:, -3 * count :].t().contiguous())
+        self.register_buffer("last", torch.cat([x.weight for x in (network.parts, network.sides, network.keypoints)]))
+        self.register_buffer(
+            "last_bias", torch.cat([x.bias for x in (network.parts, network.sides, network.keypoints)])
+        )
+        self.register_buffer("one", torch.ones(LEVELS[1], 1))
+
+    def forward(
+        self,
+        image: Tensor,
+        points: Tensor,
+        pixels: Tensor,
+        group1: Tensor,
+        group2: Tensor,
+        group3: Tensor,
+        up1: Tensor,
+        up2: Tensor,
+        up3: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        net = self.network
+        parts, count = net.num_parts, net.num_keypoints
+        points, pixels = points[0], pixels[0, :ANSWERED]
+        first, second, third = (points[:n] for n in LEVELS[1:])
+        maps = [y.flatten(2)[0].t() for y in net.image_branch(image)]
+        corners = self.sampler(pixels)
+        s4, s8 = (weighted(rows, *corner) for rows, corner in zip(maps[:2], corners[:2], strict=True))
+        s16 = weighted(maps[2], *(values[: LEVELS[2]] for values in corners[2]))
+
+        f1 = abstracted(net.level1, points, [], group1[0])
+        f1 = fused(net.detail_fuser, f1, s8[: LEVELS[1]])
+        f2 = abstracted(net.level2, first, f1, group2[0])
+        f2 = fused(net.context_fuser, f2, s16)
+        f3 = abstracted(net.level3, second, f2, group3[0])
+        whole = dense(net.whole, [f3, third / POSITION_SCALE]).amax(dim=0, keepdim=True)
+        g2 = propagated(net.up3, second, third, f3, f2, up3[0])
+        g2 = functional.relu(g2 + net.whole_to_up3(whole))
+        g1 = propagated(net.up2, first, second, g2, f1, up2[0])
+
+        logits = net.coarse_parts(g1)
+        probabilities = functional.softmax(logits, dim=-1)
+        share = probabilities[:, :parts].t()
+        share = share / (share.sum(dim=1, keepdim=True) + 1e-3)
+        vectors = net.part_vector[1](share @ dense(net.part_vector[0], [g1, first / POSITION_SCALE]))
+        guess = net.part_keypoints(vectors).view(parts, count, 3)
+        known = linear(net.refiner.known, [g1, probabilities])
+        homogeneous = torch.cat([first, self.one], dim=1)
+        for _ in range(REFINEMENTS):
+            axes, origin, to_part = self.frames(guess)
+            seen = homogeneous @ (to_part @ self.located + self.part)
+            seen = functional.relu(seen + known).view(parts * LEVELS[1], -1)
+            seen = net.refiner.described(seen).view(parts, LEVELS[1], -1)
+            pooled = torch.cat([(share.unsqueeze(1) @ seen).squeeze(1), seen.amax(dim=1)], dim=-1)
+            pooled = net.refiner.pooled(pooled)
+            correction = net.refiner.correction(pooled).view(parts, count, 3)
+            guess = origin + (net.unit_keypoints + correction) @ axes
+            vectors = vectors + net.refiner.to_vector(pooled)
+        axes, _, to_part = self.frames(guess)
+        flat_guess = guess.view(parts, 3 * count)
+
+        own_part = functional.softmax(logits[:, :parts], dim=-1)
+        coarse = torch.cat([torch.addmm(self.raise_bias, g1, self.raise_features), own_part], dim=1)
+        points = points[:ANSWERED]
+        raised = interpolated(points, first, coarse, up1[0])
+        g0, owner = raised[:, :-parts], raised[:, -parts:]
+        to_all_parts = to_part.transpose(0, 1).reshape(4, 3 * parts)
+        in_part = torch.addmm(to_all_parts[3], points, to_all_parts[:3]) * (owner @ self.spread3)
+        by_part = vectors @ self.raise_vectors + flat_guess @ self.raise_guess
+        weights = torch.cat([by_part, self.fine_points, self.fine_in_part])
+        g0 = torch.addmm(g0, torch.cat([owner, points, in_part], dim=1), weights)
+        g0 = net.after_up1(functional.relu(net.up1.norm(g0)))
+
+        pieces = fused(net.fuser, g0, torch.cat([s4, s8], dim=1))
+        said = functional.linear(net.head[1](dense(net.head[0], pieces)), self.last, self.last_bias)
+        part_logits, sides, corrections = said.split([parts + 1, net.sides.out_features, 3 * count], dim=1)
+        turned = (axes[:, None, :, None, :] * self.per_keypoint).view(parts, 3 * count, 3 * count)
+        turned = turned.transpose(0, 1).reshape(3 * count, parts * 3 * count)
+        mixed = (corrections @ turned) * (owner @ self.spread)
+        guessed = torch.cat([owner, points], dim=1) @ torch.cat([flat_guess, self.minus_point])
+        offsets = torch.addmm(guessed, mixed, self.gathered)
+        radii = ((offsets * offsets) @ self.summed).clamp_min(1e-8).sqrt()
+        return part_logits[None], radii[None], sides[None], net.extents(vectors)[None]
+
+    located: Tensor
+    part: Tensor
+    spread3: Tensor
+    spread: Tensor
+    gathered: Tensor
+    per_keypoint: Tensor
+    minus_point: Tensor
+    summed: Tensor
+    fine_points: Tensor
+    fine_in_part: Tensor
+    raise_features: Tensor
+    raise_bias: Tensor
+    raise_vectors: Tensor
+    raise_guess: Tensor
+    last: Tensor
+    last_bias: Tensor
+    one: Tensor
+
+
+class Frames(nn.Module):
+    """`page_training.canonical.frames_of` for one object.
+
+    guess (K,n,3) to axes (K,3,3), origin (K,1,3) and to_part (K,4,3): a part's coordinates are [x,1] @ to_part.
+    """
+
+    fit: Tensor
+    unit_mean: Tensor
+    crossed: Tensor
+
+    def __init__(self, network: PageNetwork) -> None:
+        super().__init__()
+        self.network = network
+        inverse, unit = network.unit_inverse, network.framed_keypoints
+        self.register_buffer("fit", inverse)
+        self.register_buffer("unit_mean", unit.mean(dim=1, keepdim=True))
+        # z @ crossed is the matrix whose product with x, from the left, is z cross x.
+        basis = torch.eye(3)
+        crossed = torch.stack([torch.linalg.cross(z.expand(3, 3), basis) for z in basis])
+        self.register_buffer("crossed", crossed.reshape(3, 9))
+
+    def forward(self, guess: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        keypoints = self.network._framed(guess)
+        mean = keypoints.mean(dim=1, keepdim=True)
+        affine = self.fit @ (keypoints - mean)
+        scale = (affine * affine).sum(dim=(1, 2), keepdim=True).mul(1.0 / 3.0).clamp_min(1e-4).sqrt()
+        z = unit_length(affine[:, 2:])
+        x = affine[:, :1]
+        x = unit_length(x - (x * z).sum(dim=-1, keepdim=True) * z)
+        y = x @ (z @ self.crossed).view(-1, 3, 3)
+        axes = scale * torch.cat([x, y, z], dim=1)
+        origin = mean - self.unit_mean @ axes
+        square = (axes * axes).sum(dim=(1, 2), keepdim=True).mul(1.0 / 3.0).clamp_min(1e-8)
+        rotation = axes.transpose(1, 2) / square
+        return axes, origin, torch.cat([rotation, -(origin @ rotation)], dim=1)
+
+
+def unit_length(vector: Tensor) -> Tensor:
+    """As functional.normalize with eps 1e-6, without its Expand."""
+    return vector / vector.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+
+
+class CornerSampler(nn.Module):
+    """`page_training.layers.sample_bilinear` for all maps at once.
+
+    pixels (A,2) to flat places (A,4) of the four pixels around each in every map, and their weights (A,4).
+    """
+
+    scale: Tensor
+    shift: Tensor
+    largest: Tensor
+    last_corner: Tensor
+    to_index: Tensor
+    steps: Tensor
+    to_x: Tensor
+    to_y: Tensor
+    from_x: Tensor
+    from_y: Tensor
+
+    def __init__(self, image_size: int, strides: tuple[int, ...], points: int) -> None:
+        super().__init__()
+        widths = [image_size // stride for stride in strides]
+        scale = torch.tensor([width / image_size for width in widths])
+        maps = torch.eye(len(widths))
+        # Columns: x and y in each map; then the corners of each map.
+        self.register_buffer("scale", torch.kron(scale, torch.eye(2)))
+        self.register_buffer("shift", (0.5 * scale - 0.5).repeat_interleave(2))
+        largest = torch.tensor(widths, dtype=torch.float32).repeat_interleave(2) - 1.0
+        # As tall as what they are compared with: one row would be broadcast row by row.
+        self.register_buffer("largest", largest.repeat(points, 1))
+        self.register_buffer("last_corner", largest.repeat(points, 1) - 1.0)
+        to_index = torch.zeros(2 * len(widths), 4 * len(widths))
+        for level, width in enumerate(widths):
+            to_index[2 * level, 4 * level : 4 * level + 4] = 1.0
+            to_index[2 * level + 1, 4 * level : 4 * level + 4] = width
+        self.register_buffer("to_index", to_index)
+        self.register_buffer("steps", torch.tensor([[0, 1, width, width + 1] for width in widths]).float().flatten())
+        # Of the corners' weights: (1-x)(1-y), x(1-y), (1-x)y, xy.
+        self.register_buffer("to_x", torch.kron(maps, torch.tensor([[-1.0, 1, -1, 1], [0, 0, 0, 0]])))
+        self.register_buffer("to_y", torch.kron(maps, torch.tensor([[0, 0, 0, 0], [-1.0, -1, 1, 1]])))
+        self.register_buffer("from_x", torch.tensor([1.0, 0, 1, 0]).repeat(len(widths)))
+        self.register_buffer("from_y", torch.tensor([1.0, 1, 0, 0]).repeat(len(widths)))
+
+    def forward(self, pixels: Tensor) -> list[tuple[Tensor, Tensor]]:
+        place = torch.minimum(functional.relu(torch.addmm(self.shift, pixels, self.scale)), self.largest)
+        corner = torch.minimum(place.floor(), self.last_corner)
+        inside = place - corner
+        weight = torch.addmm(self.from_x, inside, self.to_x) * torch.addmm(self.from_y, inside, self.to_y)
+        # Whole numbers below 2^24: exact in float32.
+        index = torch.addmm(self.steps, corner, self.to_index).to(torch.int32)
+        return list(zip(index.split(4, dim=1), weight.split(4, dim=1), strict=True))
+
+
+def weighted(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
+    """(F,C): sums of G rows of (P,C) at index (F,G), by weight (F,G)."""
+    return (weight.unsqueeze(1) @ functional.embedding(index, rows)).squeeze(1)
+
+
+def linear(layer: nn.Linear, pieces: list[Tensor]) -> Tensor:
+    """The layer of pieces (P,C_i) side by side."""
+    widths = [piece.shape[1] for piece in pieces]
+    first, *others = layer.weight.split(widths, dim=1)
+    total = functional.linear(pieces[0], first, layer.bias)
+    for piece, weight in zip(pieces[1:], others, strict=True):
+        total = torch.addmm(total, piece, weight.t())
+    return total
+
+
+def dense(layer: nn.Module, pieces: list[Tensor]) -> Tensor:
+    """`Dense` of pieces side by side."""
+    assert isinstance(layer, Dense)
+    product, norm = layer[0], layer[1]
+    assert isinstance(product, nn.Linear)
+    return functional.relu(norm(linear(product, pieces)))
+
+
+def fused(fuser: nn.Module, geometry: Tensor, color: Tensor) -> list[Tensor]:
+    """What a fuser gives, in pieces."""
+    if isinstance(fuser, GeometryGuidedFuser):
+        bias = fuser.from_geometry.bias + fuser.from_color.bias
+        hidden = functional.linear(geometry, fuser.from_geometry.weight, bias)
+        hidden = torch.addmm(hidden, color, fuser.from_color.weight.t())
+        return [torch.sigmoid(fuser.gate(functional.relu(hidden))) * color, geometry]
+    if isinstance(fuser, ConcatenationFuser):
+        return [color, geometry]
+    if isinstance(fuser, DenseFuser):
+        widths = [color.shape[1], geometry.shape[1]]
+        widths.append(fuser.outputs - sum(widths))
+        return list(fuser(geometry[None], color[None])[0].split(widths, dim=1))
+    return [fuser(geometry, color)]
+
+
+def abstracted(layer: SetAbstraction, points: Tensor, features: list[Tensor], index: Tensor) -> Tensor:
+    """`SetAbstraction` of points (P,3) with features (P,C_i), index (F,16)."""
+    count, group = index.shape
+    weight = layer.position.weight / layer.radius
+    bias = layer.position.bias if layer.feature is None else layer.position.bias + layer.feature.bias
+    source = functional.linear(points, weight, bias)
+    if layer.feature is not None:
+        weights = layer.feature.weight.split([piece.shape[1] for piece in features], dim=1)
+        for piece, part in zip(features, weights, strict=True):
+            source = torch.addmm(source, piece, part.t())
+    centers = functional.linear(points[:count], weight)
+    edges = functional.relu(functional.embedding(index, source) - centers.unsqueeze(1))
+    edges = layer.edge(edges.view(group * count, -1)).view(count, group, -1)
+    return functional.relu(layer.norm(edges.amax(dim=1)))
+
+
+def interpolated(fine: Tensor, coarse: Tensor, features: Tensor, index: Tensor) -> Tensor:
+    """`page_training.layers.interpolate_up` for one object."""
+    difference = functional.embedding(index.t(), coarse) - fine
+    weight = 1.0 / ((difference * difference).sum(dim=-1) + 1e-6)
+    return weighted(features, index, (weight / weight.sum(dim=0, keepdim=True)).t())
+
+
+def propagated(
+    layer: FeaturePropagation,
+    fine_points: Tensor,
+    coarse_points: Tensor,
+    coarse: Tensor,
+    fine: list[Tensor],
+    index: Tensor,
+) -> Tensor:
+    """`FeaturePropagation` with the fine level's own features in pieces."""
+    before = functional.linear(coarse, layer.from_coarse.weight, layer.from_fine.bias)
+    total = interpolated(fine_points, coarse_points, before, index)
+    for piece, weight in zip(fine, layer.from_fine.weight.split([p.shape[1] for p in fine], dim=1), strict=True):
+        total = torch.addmm(total, piece, weight.t())
+    return functional.relu(layer.norm(total))

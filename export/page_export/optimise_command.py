@@ -1,0 +1,100 @@
+"""page-export optimise: the forms of a bundle in one table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from rich.progress import Progress
+
+from page_export.bundle_writer import bundle_bytes, write_file
+from page_export.optimisation import Measured, TrueSample, measure, recommended
+from page_export.parity import Inputs
+from page_export.variants import CALIBRATION_FRAMES, chosen_for_calibration, variants
+from page_runtime.bundle_file import read_bundle
+from page_runtime.capture.playback import open_source
+from page_runtime.estimator import sample_for
+from page_runtime.neighbours import find_neighbours
+
+ROUNDS = 3
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the forms, measure all, keep those that are not refused; ValueError for what cannot be measured."""
+    metadata = read_bundle(options.bundle).metadata
+    tested, others = _samples(options.bundle, options.data, options.frames)
+    calibration = chosen_for_calibration(others, CALIBRATION_FRAMES)
+    made = {"fp32": options.bundle}
+    for name, make in variants(options.bundle, metadata, calibration).items():
+        path = options.output / f"{options.bundle.stem}.{name}.onnx"
+        provenance = {**metadata.provenance, "form": f"{name} of {options.bundle.name}"}
+        write_file(bundle_bytes(make(), replace(metadata, provenance=provenance)), path)
+        made[name] = path
+    with Progress(disable=not sys.stderr.isatty()) as progress:
+        task = progress.add_task("measuring", total=2 * ROUNDS * len(tested))
+        results = measure(made, tested, rounds=ROUNDS, on_sample=lambda: progress.advance(task))
+    best = recommended(results, options.max_pose_error)
+    sys.stdout.write(table(results, best, options.max_pose_error, len(tested)))
+    refused = {one.name for one in results[1:] if one.refused(options.max_pose_error, results[0].failures)}
+    for name in refused:
+        made[name].unlink()
+    if options.json is not None:
+        document = {
+            "bundle": options.bundle.name,
+            "frames": len(tested),
+            "calibration_frames": len(calibration),
+            "max_pose_error": options.max_pose_error,
+            "recommended": best.name,
+            "forms": [{**one.document(), "refused": one.name in refused} for one in results],
+        }
+        write_file((json.dumps(document, indent=1) + "\n").encode(), options.json)
+    return 0
+
+
+def table(results: list[Measured], best: Measured, bound: float, frames: int) -> str:
+    """For people."""
+    lines = [
+        f"{'form':14s} {'MB':>6s} {'load ms':>8s} {'1 thread p50/p95':>17s} {'2 threads p50/p95':>18s} "
+        f"{'deg':>6s} {'mm':>6s} {'failures':>9s} {'error':>6s}"
+    ]
+    for one in results:
+        latency = [f"{one.latency[threads].p50_ms:.1f} / {one.latency[threads].p95_ms:.1f}" for threads in (1, 2)]
+        refused = one is not results[0] and one.refused(bound, results[0].failures)
+        verdict = "recommended" if one is best else f"refused: over {bound:g}, or more failures" if refused else ""
+        lines.append(
+            f"{one.name:14s} {one.size_bytes / 1e6:6.2f} {one.load_ms:8.0f} {latency[0]:>17s} {latency[1]:>18s} "
+            f"{one.rotation_deg:6.2f} {one.translation_mm:6.2f} {100 * one.failures:7.1f} % {one.error:6.2f}  {verdict}"
+        )
+    note = f"{frames} objects; deg, mm: medians against the truth; error: of the original's; refused forms are deleted"
+    return "\n".join([*lines, note]) + "\n"
+
+
+def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[Inputs]]:
+    """The first regions, with their truth, and the others; ValueError where there are too few of either."""
+    metadata = read_bundle(bundle).metadata
+    source = open_source(data)
+    if not source.has_truth:
+        raise ValueError(f"{data}: expected a recording with true poses, got a {source.format} without")
+    tested: list[TrueSample] = []
+    others: list[Inputs] = []
+    for recorded in source:
+        for instance in recorded.instances:
+            if instance.region is None or instance.truths is None:
+                continue
+            sample = sample_for(metadata, recorded.frame, instance.region)
+            if isinstance(sample, str):
+                continue
+            given = sample, find_neighbours(sample.points_camera - sample.center_camera)
+            if len(tested) < frames:
+                tested.append((given, instance.truths))
+            else:
+                others.append(given)
+    if not tested or len(others) < 2:
+        raise ValueError(
+            f"{data}: expected more regions with depth than --frames {frames}, as the others calibrate; "
+            f"got {len(tested) + len(others)}"
+        )
+    return tested, others
