@@ -102,7 +102,10 @@ def _report(parity: Parity) -> int:
     rows = [*document["outputs"].items(), *((name, document[name]) for name in ("rotation_deg", "translation_mm"))]
     for name, row in rows:
         print(f"{name:14s} {row['max']:9.2e} {row['mean']:9.2e} {row['bound']:9.2e}")
-    print(f"{parity.samples} samples, {parity.disagreements} parts with a pose from only one of the two")
+    print(
+        f"{parity.samples} samples, {parity.parts} parts: {parity.disagreements} with a pose from only one of the two, "
+        f"{parity.undecided} left out as the checkpoint's own pose jumps as far at so small a change"
+    )
     print("same network" if parity.holds else "NOT the same network")
     return 0 if parity.holds else 1
 
