@@ -30,6 +30,7 @@ def bundle_bytes(model: onnx.ModelProto, metadata: BundleMetadata | None) -> byt
     for node in graph.node:
         for attribute in node.attribute:
             attribute.ClearField("doc_string")
+    _short_names(graph)
     del graph.value_info[:]
     del graph.quantization_annotation[:]
     tensors = [numpy_helper.from_array(numpy_helper.to_array(tensor), tensor.name) for tensor in graph.initializer]
@@ -56,6 +57,20 @@ def _constants_as_initializers(graph: onnx.GraphProto) -> None:
         )
         graph.initializer.append(numpy_helper.from_array(array, node.output[0]))
         graph.node.remove(node)
+
+
+def _short_names(graph: onnx.GraphProto) -> None:
+    """Weights by their place in the network, without what torch's exporter puts before it: 7 kB less."""
+    prefix = "frames.network."
+    kept = {value.name for value in (*graph.input, *graph.output)}
+    kept |= {name for node in graph.node for name in node.output}
+    found = [tensor for tensor in graph.initializer if tensor.name.startswith(prefix)]
+    names = {tensor.name: tensor.name.removeprefix(prefix) for tensor in found}
+    names = {long: short for long, short in names.items() if short not in kept}
+    for tensor in found:
+        tensor.name = names.get(tensor.name, tensor.name)
+    for node in graph.node:
+        node.input[:] = [names.get(name, name) for name in node.input]
 
 
 def _in_order(graph: onnx.GraphProto) -> None:
