@@ -54,7 +54,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """outputs: by the graph's name for them. rotation_deg, translation_mm: where both have a pose.
+    """outputs: by the graph's name for them, absolute up to a value of 1 and relative above. rotation_deg, translation_mm: where both have a pose.
 
     disagreements: parts that one of the two gives a pose for and the other does not. undecided: parts that are counted
     in none of these: the reference's own pose of them jumps by more than the bounds when its outputs are disturbed by
@@ -146,7 +146,8 @@ def compare(metadata: BundleMetadata, ours: Run, theirs: Run, samples: Iterator[
         count += 1
         pair = ours(sample, neighbours), theirs(sample, neighbours)
         for name, one, other in zip(OUTPUT_NAMES, *pair, strict=True):
-            difference = np.abs(one - other)
+            # Of a value above 1 float32 keeps so much less behind the point.
+            difference = np.abs(one - other) / np.maximum(1.0, np.abs(one))
             worst[name].append(float(difference.max()))
             mean[name].append(float(difference.mean()))
         reference = pose_of(metadata, sample, pair[0])
