@@ -54,7 +54,8 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """outputs: by the graph's name for them, absolute up to a value of 1 and relative above. rotation_deg, translation_mm: where both have a pose.
+    """outputs: by the graph's name for them, absolute up to a value of 1 and relative above. rotation_deg,
+    translation_mm: where both have a pose.
 
     disagreements: parts that one of the two gives a pose for and the other does not. undecided: parts that are counted
     in none of these: the reference's own pose of them jumps by more than the bounds when its outputs are disturbed by
