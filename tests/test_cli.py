@@ -164,7 +164,9 @@ def test_bench_reports_every_stage_beside_the_papers(
     assert document["cold_start"]["total_ms"] > document["cold_start"]["first_estimate_ms"] > 0
     assert len(document["recording_sha256"]) == len(document["bundle_sha256"]) == 64
     assert len(document["stability"]["windows_p50_ms"]) == 3
-    assert re.search(r"total +[\d.]+ +[\d.]+ +[\d.]+ +[\d.]+ +160", capsys.readouterr().out)
+    said = capsys.readouterr().out
+    assert re.search(r"total +[\d.]+ +[\d.]+ +[\d.]+ +[\d.]+ +160", said)
+    assert f"the network runs on cpu ({document['operators']['cpu']} operators)" in said
 
 
 def test_bench_warms_up_on_frames_that_reach_the_network_and_counts_no_others(

@@ -96,11 +96,3 @@ def test_a_wrong_provider_is_refused_in_a_sentence(
     error = capsys.readouterr().err
     assert sentence in error
     assert "Traceback" not in error
-
-
-def test_what_runs_is_said_where_it_was_asked_for(
-    toy_recording: Path, oracle_bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = ["bench", str(toy_recording), "--bundle", str(oracle_bundle), "--provider", "cpu", "--quiet"]
-    assert cli.main([*given, "--json", str(tmp_path / "out.json")]) == 0
-    assert "the network runs on cpu (" in capsys.readouterr().out

@@ -27,7 +27,7 @@ from page_runtime.validation.processes import by_processes, one_after_the_other
 from page_runtime.validation.results import ResultsFolder
 from page_runtime.validation.work import Task, do, split
 
-FRAMES = 25
+FRAMES = 36
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_the_document_is_the_same_to_the_byte_again_by_two_processes_and_from_ke
         "page_runtime.validation.processes.do", lambda task, on_frame: (done.append(task), do(task, on_frame))[1]
     )
     assert validate(recordings, oracle_bundle, tmp_path / "4.json", "--results", str(results)) == first
-    assert [(task.first, task.last) for task in done] == [(0, 20), (20, 25)]
+    assert [(task.first, task.last) for task in done] == [(0, 20), (20, FRAMES)]
     assert validate(recordings, oracle_bundle, tmp_path / "5.json", "--results", str(results)) == first
     assert len(done) == 2
     # Another setting is other work.
@@ -221,7 +221,7 @@ def test_an_interrupted_validation_goes_on_where_it_was(
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if "frame 22" in line:
+        if "frame 21" in line:
             process.send_signal(signal.SIGINT)
             break
     process.communicate(timeout=60)
@@ -229,7 +229,7 @@ def test_an_interrupted_validation_goes_on_where_it_was(
     assert [path.name for path in results.rglob("*.json")] == ["000000-000020.json"]
     again = subprocess.run([*command, "--results", str(results)], capture_output=True, text=True, check=True)
     assert "20 frames were done before" in again.stderr
-    assert "frame 5 of 5" in again.stderr
+    assert f"frame {FRAMES - 20} of {FRAMES - 20}" in again.stderr
 
 
 BAD_CALLS: dict[str, tuple[list[str], str]] = {

@@ -219,6 +219,7 @@ def _profile(options: argparse.Namespace) -> int:
 def _scorer(options: argparse.Namespace) -> int:
     import onnx
 
+    from page_export.bundle_writer import bundle_bytes
     from page_export.scorer_cost import measure_scorer
     from page_export.scorer_graph import BEAM, with_scorer
     from page_runtime.network import Network
@@ -228,7 +229,7 @@ def _scorer(options: argparse.Namespace) -> int:
         raise ValueError(f"--beam, --threads: expected at least 1, got {beam} and {options.threads}")
     bundle = Network(options.bundle, threads=options.threads)
     model = with_scorer(onnx.load(options.bundle), bundle.metadata, beam)
-    graph = model.SerializeToString()
+    graph = bundle_bytes(model, bundle.metadata)
     cost = measure_scorer(bundle, graph, options.measure_on, threads=options.threads)
     print(f"{cost.keypoints} keypoints of {cost.regions} regions, {options.threads} threads of the CPU")
     print(f"within a voxel of the numpy scorer's  {cost.within_voxel:.3f}, fewest of its votes {cost.least_share:.3f}")
