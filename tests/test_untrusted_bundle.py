@@ -20,9 +20,10 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from page_export.bundle_writer import bundle_bytes
+from page_runtime.allowed_operators import RULES
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.bundle_file import MAX_BUNDLE_BYTES, read_bundle
-from page_runtime.graph_limits import RULES, size_of
+from page_runtime.graph_limits import size_of
 from page_runtime.network import Network
 from page_runtime.onnx_file import CHECKSUM_KEY, checksum_of, read_onnx, sealed
 

@@ -19,6 +19,7 @@ from page_runtime.geometry import transform_from
 from page_runtime.hypotheses import candidates, modes_of
 from page_runtime.multilateration import UNUSABLE_RADIUS_M, FloatArray
 from page_runtime.pose_refinement import Evidence, pose_system, refined, stacked_radii
+from page_runtime.pose_support import SUPPORT_GATE, distinct_best, ranked_by_support, support_of
 from page_runtime.scoring import MAX_RANGE_M, KeypointVotes
 from page_runtime.similarity import Similarities
 
@@ -28,13 +29,8 @@ AMBIGUOUS_RATIO = 0.95
 
 _POSE_POINTS = 400
 _CANDIDATE_POINTS = 112
-_MAX_REFINED = 3
-# Lengths in units of the part's diagonal. Poses whose keypoints are closer than _DISTINCT, root mean
-# square, refine one another: correlated errors make several minima about as good some 0.15 apart, which is
-# no ambiguity.
-_DISTINCT = 0.25
-_BOX_MARGIN = 0.08
-_COARSE_GATES = (0.2, 0.12, 0.08, 0.08)
+# Lengths in units of the part's diagonal.
+_COARSE_GATES = (SUPPORT_GATE, 0.12, 0.08, 0.08)
 _FINE_GATES = (0.08, 0.08, 0.08)
 # From the last frame's pose: what an object does in a tenth of a second.
 _NEAR_GATES = (0.12, 0.08, 0.08, 0.08)
@@ -132,13 +128,13 @@ def register_parts(parts: Sequence[Observed]) -> list[Registration | Ambiguous |
         poses = candidates(kappa, own_modes, len(own_votes), attempt.scale_range_m)
         if len(poses):
             started.append(attempt)
-            starts.append(poses.take(_distinct_best(poses, _support(poses, attempt.sketch), kappa)))
+            starts.append(poses.take(distinct_best(poses, support_of(poses, attempt.sketch), kappa)))
         else:
             results[attempt.index] = (
                 f"no combination of keypoint modes forms the part's triangle at a scale of {low:.3g} to {high:.3g} m"
             )
     coarse = refined(starts, [attempt.sketch for attempt in started], _COARSE_GATES)
-    ranked = [_ranked(poses, attempt.evidence) for poses, attempt in zip(coarse, started, strict=True)]
+    ranked = [ranked_by_support(poses, attempt.evidence) for poses, attempt in zip(coarse, started, strict=True)]
     # The runner-up is refined only where it is as good.
     kept = [poses.take(np.arange(1 if ratio <= AMBIGUOUS_RATIO else 2)) for poses, ratio in ranked]
     evidence = [attempt.evidence for attempt in started]
@@ -200,14 +196,6 @@ def _evidence(part: Observed) -> Evidence | str:
     return Evidence(anchors, counted, kappa, np.asarray(part.extents_unit, np.float64), sides, normal)
 
 
-def _ranked(poses: Similarities, evidence: Evidence) -> tuple[Similarities, float]:
-    """The distinct poses, best supported first, and the second one's support over the first one's."""
-    support = _support(poses, evidence)
-    order = _distinct_best(poses, support, evidence.keypoints_unit)
-    ratio = float(support[order[1]] / max(support[order[0]], 1e-12)) if len(order) > 1 else 0.0
-    return poses.take(order), ratio
-
-
 def _result(poses: Similarities, attempt: _Attempt, ratio: float) -> Registration | Ambiguous | str:
     """Of the best pose, and a second where it is as good."""
     low, high = attempt.scale_range_m
@@ -251,45 +239,6 @@ def _checked(part: Observed) -> tuple[FloatArray, FloatArray, FloatArray]:
             f"got {np.shape(part.side_logits)}; pass the columns of the voted keypoints, or None"
         )
     return points, radii, kappa
-
-
-def _support(poses: Similarities, evidence: Evidence) -> FloatArray:
-    """(C,) in [0, 1]: inlier mass of the radii x points in the box x agreement of the sides."""
-    anchors = evidence.anchors
-    place = poses.place(evidence.keypoints_unit) - anchors.origin
-    num_poses, num_keypoints, _ = place.shape
-    distance = multilateration.distances(place.reshape(-1, 3), anchors)
-    residuals = distance.reshape(num_poses, num_keypoints, -1) - evidence.radii_m
-    size_m = float(np.median(poses.s))
-    scales = multilateration.gated_scales(
-        residuals.reshape(num_poses * num_keypoints, -1), _COARSE_GATES[0] * size_m, 1e-3 * size_m
-    )
-    # One scale for all poses, the best one's: with its own each pose would excuse its errors.
-    ratio = residuals / scales.reshape(num_poses, num_keypoints, 1).min(axis=0)
-    mass = np.mean(1.0 / (1.0 + ratio * ratio), axis=(1, 2))
-    points = anchors.relative - (poses.t - anchors.origin)[:, None]
-    canonical = np.abs(points @ poses.R) / poses.s[:, None, None]
-    boxed = np.mean((canonical <= 0.5 * evidence.extents_unit + _BOX_MARGIN).all(axis=2), axis=1)
-    agreement = np.zeros(num_poses)
-    if evidence.sides is not None:
-        num_voted = evidence.sides.shape[1]
-        heights = (place[:, :num_voted] @ evidence.normal)[:, :, None]
-        heights = heights - anchors.relative @ evidence.normal
-        towards = np.tanh(heights / (0.02 * size_m))
-        agreement = np.mean(towards * evidence.sides.T, axis=(1, 2))
-    return mass * (0.2 + 0.8 * boxed) * (0.5 + 0.5 * agreement)
-
-
-def _distinct_best(poses: Similarities, support: FloatArray, kappa: FloatArray) -> NDArray[np.intp]:
-    """Indices of poses, best supported first, each distinct in its keypoints from those before it."""
-    place = poses.place(kappa)
-    order = np.argsort(-support, kind="stable")
-    chosen: list[int] = []
-    while len(order) and len(chosen) < _MAX_REFINED:
-        chosen.append(int(order[0]))
-        apart = np.sqrt(np.mean(np.sum((place[order] - place[order[0]]) ** 2, axis=2), axis=1))
-        order = order[apart > _DISTINCT * poses.s[chosen[-1]]]
-    return np.array(chosen, np.intp)
 
 
 def _registration(pose: Similarities, evidence: Evidence, runner_up_ratio: float) -> Registration:
