@@ -1,5 +1,7 @@
 """From frame and region to points: real readings, evenly spread, nothing invented."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -130,3 +132,12 @@ def test_a_point_is_its_own_neighbour_at_every_level() -> None:
     tables = find_neighbours(points)
     for table, count in ((tables.group1, LEVELS[1]), (tables.group2, LEVELS[2]), (tables.group3, LEVELS[3])):
         assert (table == np.arange(count)[:, None]).any(axis=1).all()
+
+
+def test_a_second_thread_finds_the_same_neighbours() -> None:
+    points = np.random.default_rng(3).normal(size=(LEVELS[0], 3)).astype(np.float32)
+    alone = find_neighbours(points)
+    with ThreadPoolExecutor(1) as beside:
+        together = find_neighbours(points, beside=beside)
+    for name in ("group1", "group2", "group3", "up1", "up2", "up3"):
+        assert np.array_equal(getattr(alone, name), getattr(together, name)), name

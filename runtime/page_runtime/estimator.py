@@ -9,7 +9,6 @@ import numpy as np
 from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirrored_pose, mirrored_sample
-from page_runtime.neighbours import Neighbours, find_neighbours
 from page_runtime.network import DeadlineExceeded, Network, NetworkOutput
 from page_runtime.part_poses import MAX_VOTERS, members_of, pose_from_output, seen_parts
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
@@ -72,7 +71,7 @@ def examine(
     watch.stage("sampling")
     if isinstance(sample, str):
         return Examined(replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms))
-    output = network.run(sample, _neighbours(sample), seconds=network_seconds)
+    output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
     watch.stage("network")
     if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
         # What is nearer is not the object, but something before it.
@@ -80,7 +79,7 @@ def examine(
         watch.stage("sampling")
         if isinstance(behind, RegionSample):
             sample, depth_m = behind, sample.other_depth_m
-            output = network.run(sample, _neighbours(sample), seconds=network_seconds)
+            output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
     first = sample, output
@@ -95,7 +94,7 @@ def examine(
         if isinstance(again, RegionSample):
             again = mirrored_sample(again)
             try:
-                output = network.run(again, _neighbours(again), seconds=network_seconds)
+                output = network.run(again, network.neighbours_of(again), seconds=network_seconds)
             except DeadlineExceeded:
                 watch.stage("network")
                 break
@@ -105,10 +104,6 @@ def examine(
             pose = max(pose, other, key=_mean_confidence)
             looks += 1
     return Examined(replace(pose, looks=looks), *first)
-
-
-def _neighbours(sample: RegionSample) -> Neighbours:
-    return find_neighbours(sample.points_camera - sample.center_camera)
 
 
 def _unlikely(pose: ArticulatedPose) -> bool:

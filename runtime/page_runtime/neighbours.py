@@ -5,6 +5,7 @@ Levels are prefixes of the progressive point order (sampling.py): level l is the
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,19 +89,20 @@ def _least(keys: NDArray[np.int32], count: int, mask: np.int32) -> NDArray[np.in
     return found
 
 
-def find_neighbours(points: NDArray[np.float32], *, answered: int = ANSWERED) -> Neighbours:
+def find_neighbours(
+    points: NDArray[np.float32], *, answered: int = ANSWERED, beside: Executor | None = None
+) -> Neighbours:
     """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision.
 
-    answered: points at the start that get a row of up1.
+    answered: points at the start that get a row of up1. beside: a thread that makes the largest table meanwhile: 2.1 ms
+    instead of 2.9 on two cores.
     """
     if points.shape != (LEVELS[0], 3):
         raise ValueError(f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many")
     level = [points[:count] for count in LEVELS]
-    return Neighbours(
-        group1=nearest(level[1], level[0], GROUP_SIZE),
-        group2=nearest(level[2], level[1], GROUP_SIZE),
-        group3=nearest(level[3], level[2], GROUP_SIZE),
-        up1=nearest(level[0][:answered], level[1], INTERPOLATION_SIZE),
-        up2=nearest(level[1], level[2], INTERPOLATION_SIZE),
-        up3=nearest(level[2], level[3], INTERPOLATION_SIZE),
-    )
+    later = None if beside is None else beside.submit(nearest, level[1], level[0], GROUP_SIZE)
+    group2, group3 = (nearest(level[i], level[i - 1], GROUP_SIZE) for i in (2, 3))
+    up1 = nearest(level[0][:answered], level[1], INTERPOLATION_SIZE)
+    up2, up3 = (nearest(level[i], level[i + 1], INTERPOLATION_SIZE) for i in (1, 2))
+    group1 = nearest(level[1], level[0], GROUP_SIZE) if later is None else later.result()
+    return Neighbours(group1, group2, group3, up1, up2, up3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleError, BundleMetadata
 from page_runtime.bundle_file import read_bundle
-from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours
+from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours, find_neighbours
 from page_runtime.providers import CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described, resolved, short_name
 from page_runtime.sampling import RegionSample
 
@@ -96,6 +97,12 @@ class Network:
                 f"{described(self.operators)}"
             )
         self._check_signature()
+        # One thread was asked for, or several.
+        self._beside = None if threads == 1 else ThreadPoolExecutor(1, thread_name_prefix="neighbours")
+
+    def neighbours_of(self, sample: RegionSample) -> Neighbours:
+        """The neighbour tables that `run` takes, with as many threads as the network was given."""
+        return find_neighbours(sample.points_camera - sample.center_camera, beside=self._beside)
 
     def _operators(self, provider: str, operators: int) -> dict[str, int]:
         # onnxruntime falls back to the CPU by itself where a provider cannot start.

@@ -21,7 +21,6 @@ from page_runtime.live.locate import covered
 from page_runtime.live.near import agreement, fit_near, pose_near
 from page_runtime.live.prior import Prior, expected_region, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
-from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.part_poses import answered_points, members_of, pose_from_output
 from page_runtime.pose import ArticulatedPose, PartPose
@@ -129,7 +128,7 @@ def _look(
     prior: Prior,
     watch: Stopwatch,
 ) -> _Seen:
-    output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+    output = network.run(sample, network.neighbours_of(sample))
     watch.stage("network")
     return _Seen(network, track, frame, time_s, region, sample, output, prior, watch)
 
