@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from page_runtime.estimator import estimate, examine
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import rotation_about, transform_from
+from page_runtime.live import following
 from page_runtime.live.advance import observation, trust
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.following import EachByItself, Tracking
 from page_runtime.live.locate import FixedRegion, OwnRegions, covered, overlap
+from page_runtime.live.loop import LiveLoop
 from page_runtime.live.near import fit_near, pose_near
 from page_runtime.live.prior import expected_region
 from page_runtime.live.result import LiveObject
@@ -267,3 +270,39 @@ def test_live_results_of_a_recording_has_one_for_every_frame(network: Network) -
         live_results(source, network, objects=0)
     with pytest.raises(ValueError, match="max_looks: expected at least 1"):
         live_results(source, network, max_looks=0)
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """Places without an object, all apart from each other; none knows how many objects there are."""
+
+    places: tuple[Region, ...] = tuple((40 * k, 400, 38, 60) for k in range(8))
+    most: int | None = None
+
+    def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
+        del recorded
+        return self.places
+
+
+@pytest.mark.parametrize("way", [Tracking, EachByItself])
+def test_a_loop_that_is_told_to_stop_looks_at_no_further_place(
+    way: type[Tracking | EachByItself], network: Network, frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Region] = []
+    loops: list[LiveLoop] = []
+
+    def counted(run: Callable[..., object]) -> Callable[..., object]:
+        def called(network: Network, frame: RgbdFrame, place: Region, **more: int) -> object:
+            looked.append(place)
+            if len(looked) == 2:
+                loops[0].stop()
+            return run(network, frame, place, **more)
+
+        return called
+
+    monkeypatch.setattr(following, "examine", counted(examine))
+    monkeypatch.setattr(following, "estimate", counted(estimate))
+    with LiveLoop([frames[0], at(frames[0], 1)], way(network, Everywhere())) as loop:
+        loops.append(loop)
+        assert len(list(loop)) == 1
+    assert len(looked) == 2

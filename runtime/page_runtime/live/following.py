@@ -195,7 +195,8 @@ class Tracking:
 class EachByItself:
     """Finds the objects of every frame as if it were the only one: `estimator.estimate` wherever `locator` says.
 
-    Everything is reported, however unlikely; objects are numbered in the locator's order.
+    Everything is reported, however unlikely; objects are numbered in the locator's order. Nothing is left out for a
+    deadline, only for the end of the loop.
     """
 
     def __init__(self, network: Network, locator: Locator, *, max_looks: int = MAX_LOOKS) -> None:
@@ -203,13 +204,14 @@ class EachByItself:
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
         """All objects of this frame."""
-        del deadline  # Nothing is known of how long the next frame takes, and nothing can be left out.
         stage_ms: dict[str, float] = {}
         began = perf_counter()
         places: Sequence[Region] = self._locator.locate(recorded)
         stage_ms["locating"] = 1e3 * (perf_counter() - began)
         objects = []
         for number, place in enumerate(places):
+            if number and deadline.stopping():
+                break
             pose = estimate(self._network, recorded.frame, place, max_looks=self._max_looks)
             _add(stage_ms, pose)
             objects.append(LiveObject(number, place, pose, tracked=False))

@@ -81,8 +81,14 @@ class LiveLoop:
         return self.counts
 
     def stop(self) -> None:
-        """End the iteration after the result of the moment; does not wait, and may be called by a signal's handler."""
+        """End the iteration after the result of the moment, from which places not looked at yet are left out; does not
+        wait, and may be called by a signal's handler."""
         self._slot.stop()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it was told to end, or has ended."""
+        return self._slot.stopping
 
     def close(self) -> None:
         """Stop, and give the thread back; a frame that waits counts as dropped."""
@@ -102,7 +108,8 @@ class LiveLoop:
         return self._slot.counts
 
     def _result(self, received: Received) -> LiveResult:
-        deadline = Deadline(None if self._deadline_s is None else received.received_s + self._deadline_s)
+        at_s = None if self._deadline_s is None else received.received_s + self._deadline_s
+        deadline = Deadline(at_s, lambda: self.stopping)
         followed = self._follower.follow(received.recorded, deadline)
         late = deadline.passed
         latency_ms = 1e3 * (time.monotonic() - received.received_s)
