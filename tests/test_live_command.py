@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -17,6 +17,7 @@ import pytest
 
 from page_runtime import open_source
 from page_runtime.cli import main
+from page_runtime.commands import sources
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
 from page_runtime.pose import PartPose
@@ -24,6 +25,20 @@ from page_runtime.pose import PartPose
 ROOT = Path(__file__).resolve().parents[1]
 BOXES = ROOT / "tests" / "data" / "box"
 BUNDLE = ROOT / "runtime" / "bundles" / "box.onnx"
+
+
+# A recording without an end of the shipped one, and what `live` is then called with.
+ENDLESS = """
+import dataclasses, sys
+import page_runtime.cli as cli
+import page_runtime.commands.sources as sources
+opened = sources.open_source
+def endless(path, **more):
+    source = opened(path, **more)
+    return dataclasses.replace(source, entries=source.entries * 10000)
+sources.open_source = endless
+sys.exit(cli.main(sys.argv[1:]))
+"""
 
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
@@ -115,18 +130,9 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: int, tmp_path: Path) -> None:
     out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
-    code = (
-        "import sys, page_runtime.commands.sources as sources, page_runtime.cli as cli, itertools, dataclasses\n"
-        "import page_runtime.recorded as recorded\n"
-        "opened = sources.open_source\n"
-        "def endless(path, **more):\n"
-        "    source = opened(path, **more)\n"
-        "    return dataclasses.replace(source, entries=source.entries * 10000)\n"
-        "sources.open_source = endless\n"
-        f"sys.exit(cli.main(['live', {str(BOXES)!r}, '--bundle', {str(BUNDLE)!r}, '--status', {str(status)!r}]))\n"
-    )
+    command = [sys.executable, "-c", ENDLESS, "live", str(BOXES), "--bundle", str(BUNDLE), "--status", str(status)]
     with out.open("w") as file:
-        process = subprocess.Popen([sys.executable, "-c", code], stdout=file, stderr=subprocess.PIPE, env=os.environ)
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.PIPE)
         began_s = time.monotonic()
         while not (out.exists() and out.read_text().count("\n") >= 2):
             assert process.poll() is None, process.stderr.read() if process.stderr else ""
@@ -141,6 +147,37 @@ def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: in
     assert document["counts"]["processed"] == len(lines)
     counts = document["counts"]
     assert counts["received"] == counts["processed"] + counts["dropped"] + counts["waiting"]
+
+
+def test_the_end_of_the_only_reader_is_the_end_without_a_word() -> None:
+    command = [sys.executable, "-c", ENDLESS, "live", str(BOXES), "--bundle", str(BUNDLE), "--quiet"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert json.loads(process.stdout.readline())["frame"] == 0
+        process.stdout.close()
+        assert process.wait(timeout=30.0) == 0
+        assert process.stderr.read() == b""
+
+
+def test_no_result_of_a_recording_is_missing_in_a_file_however_slow_that_is(tmp_path: Path) -> None:
+    """A hundred frames without a reading: nothing to compute, and each file takes longer than the loop."""
+    source = open_source(BOXES)
+    entry = source.entries[0]
+    empty = np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)
+    entries = tuple(
+        dataclasses.replace(entry, index=k, timestamp_s=k / 30, decode=lambda: empty, instances=()) for k in range(100)
+    )
+    out, video, status = tmp_path / "o.jsonl", tmp_path / "o.mkv", tmp_path / "s.json"
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--video", str(video)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sources, "open_source", lambda *_, **__: dataclasses.replace(source, entries=entries))
+        assert main([*arguments, "--overlay", str(tmp_path / "p"), "--status", str(status), "--quiet"]) == 0
+    assert [line["frame"] for line in lines_of(out)] == list(range(100))
+    assert len(list((tmp_path / "p").iterdir())) == 100
+    document = json.loads(status.read_text())
+    assert document["counts"]["processed"] == 100
+    assert {(counts["written"], counts["dropped"]) for counts in document["sinks"].values()} == {(100, 0)}
 
 
 def test_a_status_that_cannot_be_written_is_told_once_and_the_loop_goes_on(

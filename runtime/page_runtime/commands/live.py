@@ -57,7 +57,8 @@ def live(
     """Follow the objects of `source`; a result for every processed frame goes to the sinks of `where_to`, SinkOptions'
     fields, and to standard output where they name none.
 
-    Ctrl-C and SIGTERM end it well after the frame of the moment; a second one interrupts.
+    Ctrl-C and SIGTERM end it well after the frame of the moment; a second one interrupts. So does the end of whoever
+    reads standard output, where nothing else takes results.
     """
     network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     sink_options = SinkOptions(**where_to)
@@ -87,7 +88,13 @@ def live(
         with (
             _ended_by_status(status, loop) as state,
             open_sinks(
-                sink_options, tell=_tell, category=network.metadata.category, calibration=found.calibration
+                sink_options,
+                tell=_tell,
+                category=network.metadata.category,
+                calibration=found.calibration,
+                waits=lambda: isinstance(found, Source) and not loop.stopping,
+                # Whoever read the lines has enough, and there is nobody else to work for.
+                reader_gone=loop.stop if sink_options == SinkOptions(out=STDOUT) else None,
             ) as sinks,
             Progress("live", total_of(found, frames), quiet=quiet) as progress,
             stopped_by_signals(loop),
@@ -100,6 +107,7 @@ def live(
                 progress.advance()
                 if count == frames:
                     break
+            sinks.drain()
     if not quiet:
         counts = loop.counts
         sys.stderr.write(

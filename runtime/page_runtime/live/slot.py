@@ -86,11 +86,6 @@ class FrameSlot:
     def _with_waiting(self) -> LoopCounts:
         return replace(self._counts, waiting=int(self._taken) + int(self._waiting is not None))
 
-    @property
-    def stopping(self) -> bool:
-        """Whether `stop` or `close` was called."""
-        return self._closing
-
     def stop(self) -> None:
         """End the hand-over; does not wait, and may be called from a signal's handler."""
         # No lock: the handler may have interrupted the very thread that holds it.
