@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 import pytest
 
+import live_sources
 from page_runtime import open_source
+from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.cli import main
 from page_runtime.commands import sources
 from page_runtime.estimator import estimate
@@ -147,6 +149,18 @@ def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: in
     assert document["counts"]["processed"] == len(lines)
     counts = document["counts"]
     assert counts["received"] == counts["processed"] + counts["dropped"] + counts["waiting"]
+
+
+def test_a_region_outside_a_cameras_pictures_is_refused_when_they_come(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def camera(name: str, **_: object) -> SupervisedSource:
+        return SupervisedSource(live_sources.count_up, name=name)
+
+    monkeypatch.setattr(sources, "open_oak", camera)
+    arguments = ["live", "oak", "--bundle", str(BUNDLE), "--region", "5000,10,20,20", "--quiet"]
+    assert main([*arguments, "--out", str(tmp_path / "o.jsonl")]) == 2
+    assert "--region: 5000,10,20,20 lies outside the 64x48 image" in capsys.readouterr().err
 
 
 def test_the_end_of_the_only_reader_is_the_end_without_a_word() -> None:

@@ -140,6 +140,17 @@ def test_an_object_gone_for_longer_is_lost_once_and_found_again_under_its_number
     assert only(tracking.follow(at(frames[0], 30), Deadline()).objects).number == 0
 
 
+def test_a_clock_that_starts_again_runs_at_its_own_pace_from_there(
+    network: Network, frames: list[RecordedFrame]
+) -> None:
+    tracking = Tracking(network, FixedRegion(region_of(frames[0])))
+    for k in range(3):
+        tracking.follow(at(frames[0], 100_000 + k), Deadline())
+    # A fifth of a second apart: lost is who was away for more than 0.4 s.
+    lost = [tracking.follow(hidden(frames[0], 6 * k), Deadline()).lost for k in range(5)]
+    assert lost == [0, 0, 1, 0, 0]
+
+
 def test_a_wrong_pose_does_not_keep_itself_alive(network: Network, frames: list[RecordedFrame]) -> None:
     tracking = Tracking(network, OwnRegions(1))
     tracking.follow(at(frames[0], 0), Deadline())

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from page_runtime.commands.inputs import load_network, require_fitting, require_region
+from page_runtime.commands.inputs import load_network, require_fitting, require_inside, require_region
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.sink_options import STDOUT, SinkOptions, open_sinks
 from page_runtime.commands.sources import is_live, opened, stopped_by_signals, total_of
@@ -26,7 +26,7 @@ from page_runtime.live.masks import MaskFolder
 from page_runtime.live.result import LiveResult, LoopCounts
 from page_runtime.network import Network
 from page_runtime.providers import ProviderChoice
-from page_runtime.recorded import FrameSource, Source
+from page_runtime.recorded import FrameSource, RecordedFrame, Source
 from page_runtime.sampling import Region
 from page_runtime.sinks.queue import Sinks
 
@@ -137,10 +137,18 @@ def _locator(
     if detector is not None:
         return Detector(detector, classes=classes, most=most, threads=threads)
     if region is not None and region != "auto":
-        return FixedRegion(region)
+        return _RegionOption(region)
     if region is None and isinstance(source, Source) and source.has_regions:
         return OwnRegions(most)
     return Clusters.of(network.metadata.category, most=most)
+
+
+class _RegionOption(FixedRegion):
+    """--region: a camera's pictures have a size when the first one is there, and only then it can be refused."""
+
+    def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
+        require_inside(self.region, recorded.frame.camera.width, recorded.frame.camera.height)
+        return (self.region,)
 
 
 @contextmanager

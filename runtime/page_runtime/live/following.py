@@ -55,6 +55,7 @@ class Tracking:
         self._next_number = 0
         self._looked_s = float("-inf")
         self._time_s: float | None = None
+        self._shift_s = 0.0
         self._search_s = 0.0
         self._turn = 0
 
@@ -95,9 +96,12 @@ class Tracking:
         )
 
     def _clock(self, frame: RgbdFrame) -> float:
-        """The source's time, or a period more than the last where it has none or steps back."""
-        before = self._time_s
-        now = frame.timestamp_s if before is None or frame.timestamp_s > before else before + PERIOD_S
+        """The source's time, or a period more than the last where it has none or steps back, and from there at the
+        source's pace."""
+        now = frame.timestamp_s + self._shift_s
+        if self._time_s is not None and now <= self._time_s:
+            self._shift_s += self._time_s + PERIOD_S - now
+            now = self._time_s + PERIOD_S
         self._time_s = now
         return now
 
