@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-import time
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -23,7 +23,7 @@ from page_runtime.live.following import EachByItself, Tracking
 from page_runtime.live.locate import FixedRegion, Locator, OwnRegions
 from page_runtime.live.loop import LiveLoop
 from page_runtime.live.masks import MaskFolder
-from page_runtime.live.result import LiveResult, LoopCounts
+from page_runtime.live.result import LiveResult
 from page_runtime.network import Network
 from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import FrameSource, RecordedFrame, Source
@@ -100,7 +100,7 @@ def live(
             stopped_by_signals(loop),
             loop,
         ):
-            state.sinks = sinks
+            state.start(sinks)
             for count, result in enumerate(loop, start=1):
                 sinks.put(result)
                 state.report(result)
@@ -162,33 +162,54 @@ def _ended_by_status(path: Path | None, loop: LiveLoop) -> Iterator[_StatusFile]
 
 
 class _StatusFile:
-    """The state and the figures in a file, at most once a second, at every change of state, and at the end. A disk that
-    is full is told once, and does not end the loop."""
+    """The state and the figures in a file, once a second even when no frame comes, at every change of state, and at the
+    end. A disk that is full is told once, and does not end the loop."""
 
     def __init__(self, path: Path | None, loop: LiveLoop) -> None:
         self._path, self._loop = path, loop
-        self.sinks: Sinks | None = None
-        self._figures, self._written_s, self._state, self._told = RunningFigures(), float("-inf"), "", False
+        self._sinks: Sinks | None = None
+        self._figures, self._state, self._told = RunningFigures(), "", False
+        # Of the figures and the file.
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._clock = threading.Thread(target=self._tick, name="status", daemon=True)
+
+    def start(self, sinks: Sinks) -> None:
+        """Write the file from now on."""
+        self._sinks = sinks
+        if self._path is not None:
+            self._clock.start()
 
     def report(self, result: LiveResult) -> None:
         """Count a result."""
         if self._path is None:
             return
-        self._figures.add(result)
-        now_s = time.monotonic()
-        if now_s - self._written_s >= STATUS_PERIOD_S or result.state != self._state:
-            self._written_s, self._state = now_s, result.state
-            self._write(self._path, result.counts, running=True)
+        with self._lock:
+            self._figures.add(result)
+            if result.state != self._state:
+                self._state = result.state
+                self._write(self._path, running=True)
 
     def finish(self) -> None:
-        """Write the last figures, after the loop and its sinks have ended."""
-        if self._path is not None:
-            self._write(self._path, self._loop.counts, running=False)
+        """Write the last figures, after the loop and its sinks have ended; nothing where they never began."""
+        if self._path is None or self._sinks is None:
+            return
+        self._ended.set()
+        self._clock.join()
+        with self._lock:
+            self._write(self._path, running=False)
 
-    def _write(self, path: Path, counts: LoopCounts, *, running: bool) -> None:
-        sinks = {} if self.sinks is None else {name: asdict(one) for name, one in self.sinks.counts.items()}
+    def _tick(self) -> None:
+        assert self._path is not None
+        while not self._ended.is_set():
+            with self._lock:
+                self._write(self._path, running=True)
+            self._ended.wait(STATUS_PERIOD_S)
+
+    def _write(self, path: Path, *, running: bool) -> None:
+        sinks = {} if self._sinks is None else {name: asdict(one) for name, one in self._sinks.counts.items()}
         try:
-            write_json(path, {"running": running, **self._figures.document(counts), "sinks": sinks})
+            write_json(path, {"running": running, **self._figures.document(self._loop.counts), "sinks": sinks})
         except OSError as error:
             if not self._told:
                 _tell(f"--status: {path} cannot be written ({error.strerror}); going on")
