@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from page_runtime import Network, RecordedFrame, live_results, open_source
-from page_runtime.estimator import estimate, examine
+from page_runtime.estimator import Examined, estimate, examine
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import rotation_about, transform_from
@@ -235,6 +236,22 @@ def test_without_time_for_a_search_it_is_put_off_and_nothing_is_made_up(
     for found in followed.objects:
         full = estimate(network, frames[1].frame, region_of(frames[1]), max_looks=1)
         assert apart(found.pose, full)[0] < np.radians(15.0)
+
+
+def test_one_slow_search_does_not_put_off_all_others_for_ever(
+    network: Network, frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(network: Network, frame: RgbdFrame, region: Region, **more: int) -> Examined:
+        time.sleep(3.0)
+        return examine(network, frame, region, **more)
+
+    monkeypatch.setattr(following, "examine", slow)
+    tracking = Tracking(network, FixedRegion(region_of(frames[0])))
+    assert tracking.follow(at(frames[0], 0), Deadline()).searched == 1
+    # A second apart: each frame would be checked by a full search if there were time.
+    searched = [tracking.follow(at(frames[0], 30 * k), Deadline(time.monotonic() + 1.5)).searched for k in range(1, 25)]
+    assert searched[:5] == [0] * 5
+    assert 1 in searched
 
 
 def test_votes_around_a_place_are_those_of_the_scorer() -> None:

@@ -83,9 +83,9 @@ def live(
             else EachByItself(network, locator, max_looks=looks)
         )
         deadline_s = None if deadline_ms is None else 1e-3 * deadline_ms
-        loop = LiveLoop(found, follower, deadline_s=deadline_s, name=source)
         network.warm_up()
         with (
+            LiveLoop(found, follower, deadline_s=deadline_s, name=source) as loop,
             _ended_by_status(status, loop) as state,
             open_sinks(
                 sink_options,

@@ -30,6 +30,8 @@ PERIOD_S = 1 / 30
 # A region of which so much is in a followed object's is about that object.
 _SAME_PLACE = 0.5
 _COST_MEMORY = 0.8
+# In a second: a search that once took long is not put off for ever, or a wrong pose would never be checked.
+_COST_FADES = 0.95
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,7 +69,10 @@ class Tracking:
         reasons: list[str] = []
         searched = tracked = lost = 0
         for track, region in self._take_tracks():
+            began = perf_counter()
             step = advanced(self._network, track, frame, time_s, deadline, self._search_s)
+            if step.searched:
+                self._search_s = max(perf_counter() - began, self._search_s)
             if step.pose is not None:
                 _add(stage_ms, step.pose)
                 objects.append(self._live_object(step, frame))
@@ -102,6 +107,8 @@ class Tracking:
         if self._time_s is not None and now <= self._time_s:
             self._shift_s += self._time_s + PERIOD_S - now
             now = self._time_s + PERIOD_S
+        if self._time_s is not None:
+            self._search_s *= _COST_FADES ** (now - self._time_s)
         self._time_s = now
         return now
 
