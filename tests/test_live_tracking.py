@@ -254,6 +254,16 @@ def test_one_slow_search_does_not_put_off_all_others_for_ever(
     assert 1 in searched
 
 
+def test_two_tracks_of_one_object_become_the_older_one(network: Network, frames: list[RecordedFrame]) -> None:
+    tracking = Tracking(network, OwnRegions())
+    tracking.follow(at(frames[0], 0), Deadline())
+    (own,) = tracking._tracks
+    tracking._tracks.append((replace(own[0], number=1), own[1]))
+    followed = [tracking.follow(at(frames[0], k), Deadline()) for k in range(1, 4)]
+    assert [[one.number for one in each.objects] for each in followed] == [[0]] * 3
+    assert [each.lost for each in followed] == [1, 0, 0]
+
+
 def test_votes_around_a_place_are_those_of_the_scorer() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-0.1, 0.1, (300, 3)) + np.array([0.0, 0.0, 0.8])
