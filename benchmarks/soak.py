@@ -55,7 +55,7 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
     process = psutil.Process()
     source, follower = PacedSource(frames, period_s, size=SIZE), Idle(busy_s, frames=frames)
     # Seconds, bytes, descriptors, threads, ms; filled from the start, or they would be what grows.
-    samples, count = np.full((frames, 5), np.nan), 0
+    samples, count, running = np.full((frames, 5), np.nan), 0, 0
     began_s = time.monotonic()
     with LiveLoop(source, follower) as loop, Progress("soak", frames, quiet=quiet) as progress:
         for result in loop:
@@ -65,6 +65,8 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
             now_s, rss = time.monotonic() - began_s, process.memory_info().rss
             samples[count] = now_s, rss, process.num_fds(), threading.active_count(), result.latency_ms
             count += 1
+            # With its last frame the source ends, and the thread that captures with it.
+            running = count if counts.received < frames else running
             while progress.done < counts.received:
                 progress.advance()
     ages_s = follower.taken_s - source.sent_s
@@ -88,7 +90,7 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
         "rss_mb": round(float(rows[-1, 1]) / 1e6, 2),
         "rss_slope_mb_an_hour": round(slope, 3),
         "descriptors": sorted({int(value) for value in rows[:, 2]}),
-        "threads": sorted({int(value) for value in rows[:, 3]}),
+        "threads": sorted({int(value) for value in samples[quarter:running, 3]}),
         "cpu": cpu_name(),
         "versions": versions(),
     }

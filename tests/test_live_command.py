@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,12 @@ import cv2
 import numpy as np
 import pytest
 
+import live_sources
+import page_runtime.commands.live as command
 from page_runtime import open_source
+from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.cli import main
+from page_runtime.commands import sources
 from page_runtime.estimator import estimate
 from page_runtime.network import Network
 from page_runtime.pose import PartPose
@@ -24,6 +30,20 @@ from page_runtime.pose import PartPose
 ROOT = Path(__file__).resolve().parents[1]
 BOXES = ROOT / "tests" / "data" / "box"
 BUNDLE = ROOT / "runtime" / "bundles" / "box.onnx"
+
+
+# A recording without an end of the shipped one, and what `live` is then called with.
+ENDLESS = """
+import dataclasses, sys
+import page_runtime.cli as cli
+import page_runtime.commands.sources as sources
+opened = sources.open_source
+def endless(path, **more):
+    source = opened(path, **more)
+    return dataclasses.replace(source, entries=source.entries * 10000)
+sources.open_source = endless
+sys.exit(cli.main(sys.argv[1:]))
+"""
 
 
 def lines_of(path: Path) -> list[dict[str, Any]]:
@@ -115,18 +135,9 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: int, tmp_path: Path) -> None:
     out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
-    code = (
-        "import sys, page_runtime.commands.sources as sources, page_runtime.cli as cli, itertools, dataclasses\n"
-        "import page_runtime.recorded as recorded\n"
-        "opened = sources.open_source\n"
-        "def endless(path, **more):\n"
-        "    source = opened(path, **more)\n"
-        "    return dataclasses.replace(source, entries=source.entries * 10000)\n"
-        "sources.open_source = endless\n"
-        f"sys.exit(cli.main(['live', {str(BOXES)!r}, '--bundle', {str(BUNDLE)!r}, '--status', {str(status)!r}]))\n"
-    )
+    words = [sys.executable, "-c", ENDLESS, "live", str(BOXES), "--bundle", str(BUNDLE), "--status", str(status)]
     with out.open("w") as file:
-        process = subprocess.Popen([sys.executable, "-c", code], stdout=file, stderr=subprocess.PIPE, env=os.environ)
+        process = subprocess.Popen(words, stdout=file, stderr=subprocess.PIPE)
         began_s = time.monotonic()
         while not (out.exists() and out.read_text().count("\n") >= 2):
             assert process.poll() is None, process.stderr.read() if process.stderr else ""
@@ -143,11 +154,91 @@ def test_a_signal_ends_it_well_within_two_seconds_and_the_lines_stand(number: in
     assert counts["received"] == counts["processed"] + counts["dropped"] + counts["waiting"]
 
 
+def test_a_region_outside_a_cameras_pictures_is_refused_when_they_come(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def camera(name: str, **_: object) -> SupervisedSource:
+        return SupervisedSource(live_sources.count_up, name=name)
+
+    monkeypatch.setattr(sources, "open_oak", camera)
+    arguments = ["live", "oak", "--bundle", str(BUNDLE), "--region", "5000,10,20,20", "--quiet"]
+    assert main([*arguments, "--out", str(tmp_path / "o.jsonl")]) == 2
+    assert "--region: 5000,10,20,20 lies outside the 64x48 image" in capsys.readouterr().err
+
+
+def test_the_status_goes_on_and_tells_the_silence_of_a_camera_that_gives_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "starts").mkdir()
+    stall = partial(live_sources.stall, folder=str(tmp_path / "starts"), frames=2)
+    cameras: list[SupervisedSource] = []
+
+    def camera(name: str, **_: object) -> SupervisedSource:
+        cameras.append(SupervisedSource(stall, name=name))
+        return cameras[0]
+
+    monkeypatch.setattr(sources, "open_oak", camera)
+    monkeypatch.setattr(command, "STATUS_PERIOD_S", 0.05)
+    status, codes = tmp_path / "s.json", list[int]()
+    arguments = ["live", "oak", "--bundle", str(BUNDLE), "--out", str(tmp_path / "o.jsonl"), "--status", str(status)]
+    running = threading.Thread(target=lambda: codes.append(main([*arguments, "--quiet"])))
+    running.start()
+    seen: dict[str, Any] = {}
+    end_s = time.monotonic() + 30.0
+    while not (seen.get("frame") is not None and seen["silent_s"] > 0.5) and time.monotonic() < end_s:
+        time.sleep(0.05)
+        seen = json.loads(status.read_text()) if status.exists() else {}
+    cameras[0].stop()
+    running.join(20.0)
+    assert seen["running"]
+    assert seen["silent_s"] > 0.5
+    assert codes == [0]
+    assert json.loads(status.read_text())["running"] is False
+
+
+def test_a_loop_that_never_began_leaves_the_status_of_another_alone(tmp_path: Path) -> None:
+    out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
+    out.touch()
+    status.write_text("another's")
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--status", str(status)]
+    assert main(arguments) == 2
+    assert status.read_text() == "another's"
+
+
+def test_the_end_of_the_only_reader_is_the_end_without_a_word() -> None:
+    words = [sys.executable, "-c", ENDLESS, "live", str(BOXES), "--bundle", str(BUNDLE), "--quiet"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert json.loads(process.stdout.readline())["frame"] == 0
+        process.stdout.close()
+        assert process.wait(timeout=30.0) == 0
+        assert process.stderr.read() == b""
+
+
+def test_no_result_of_a_recording_is_missing_in_a_file_however_slow_that_is(tmp_path: Path) -> None:
+    """A hundred frames without a reading: nothing to compute, and each file takes longer than the loop."""
+    source = open_source(BOXES)
+    entry = source.entries[0]
+    empty = np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)
+    entries = tuple(
+        dataclasses.replace(entry, index=k, timestamp_s=k / 30, decode=lambda: empty, instances=()) for k in range(100)
+    )
+    out, video, status = tmp_path / "o.jsonl", tmp_path / "o.mkv", tmp_path / "s.json"
+    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--video", str(video)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sources, "open_source", lambda *_, **__: dataclasses.replace(source, entries=entries))
+        assert main([*arguments, "--overlay", str(tmp_path / "p"), "--status", str(status), "--quiet"]) == 0
+    assert [line["frame"] for line in lines_of(out)] == list(range(100))
+    assert len(list((tmp_path / "p").iterdir())) == 100
+    document = json.loads(status.read_text())
+    assert document["counts"]["processed"] == 100
+    assert {(counts["written"], counts["dropped"]) for counts in document["sinks"].values()} == {(100, 0)}
+
+
 def test_a_status_that_cannot_be_written_is_told_once_and_the_loop_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import page_runtime.commands.live as command
-
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 

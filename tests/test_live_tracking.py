@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from page_runtime import Network, RecordedFrame, live_results, open_source
-from page_runtime.estimator import estimate, examine
+from page_runtime.estimator import Examined, estimate, examine
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import rotation_about, transform_from
+from page_runtime.live import following
 from page_runtime.live.advance import observation, trust
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.following import EachByItself, Tracking
 from page_runtime.live.locate import FixedRegion, OwnRegions, covered, overlap
+from page_runtime.live.loop import LiveLoop
 from page_runtime.live.near import fit_near, pose_near
 from page_runtime.live.prior import expected_region
 from page_runtime.live.result import LiveObject
@@ -137,6 +141,17 @@ def test_an_object_gone_for_longer_is_lost_once_and_found_again_under_its_number
     assert only(tracking.follow(at(frames[0], 30), Deadline()).objects).number == 0
 
 
+def test_a_clock_that_starts_again_runs_at_its_own_pace_from_there(
+    network: Network, frames: list[RecordedFrame]
+) -> None:
+    tracking = Tracking(network, FixedRegion(region_of(frames[0])))
+    for k in range(3):
+        tracking.follow(at(frames[0], 100_000 + k), Deadline())
+    # A fifth of a second apart: lost is who was away for more than 0.4 s.
+    lost = [tracking.follow(hidden(frames[0], 6 * k), Deadline()).lost for k in range(5)]
+    assert lost == [0, 0, 1, 0, 0]
+
+
 def test_a_wrong_pose_does_not_keep_itself_alive(network: Network, frames: list[RecordedFrame]) -> None:
     tracking = Tracking(network, OwnRegions(1))
     tracking.follow(at(frames[0], 0), Deadline())
@@ -223,6 +238,32 @@ def test_without_time_for_a_search_it_is_put_off_and_nothing_is_made_up(
         assert apart(found.pose, full)[0] < np.radians(15.0)
 
 
+def test_one_slow_search_does_not_put_off_all_others_for_ever(
+    network: Network, frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slow(network: Network, frame: RgbdFrame, region: Region, **more: int) -> Examined:
+        time.sleep(3.0)
+        return examine(network, frame, region, **more)
+
+    monkeypatch.setattr(following, "examine", slow)
+    tracking = Tracking(network, FixedRegion(region_of(frames[0])))
+    assert tracking.follow(at(frames[0], 0), Deadline()).searched == 1
+    # A second apart: each frame would be checked by a full search if there were time.
+    searched = [tracking.follow(at(frames[0], 30 * k), Deadline(time.monotonic() + 1.5)).searched for k in range(1, 25)]
+    assert searched[:5] == [0] * 5
+    assert 1 in searched
+
+
+def test_two_tracks_of_one_object_become_the_older_one(network: Network, frames: list[RecordedFrame]) -> None:
+    tracking = Tracking(network, OwnRegions())
+    tracking.follow(at(frames[0], 0), Deadline())
+    (own,) = tracking._tracks
+    tracking._tracks.append((replace(own[0], number=1), own[1]))
+    followed = [tracking.follow(at(frames[0], k), Deadline()) for k in range(1, 4)]
+    assert [[one.number for one in each.objects] for each in followed] == [[0]] * 3
+    assert [each.lost for each in followed] == [1, 0, 0]
+
+
 def test_votes_around_a_place_are_those_of_the_scorer() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-0.1, 0.1, (300, 3)) + np.array([0.0, 0.0, 0.8])
@@ -267,3 +308,39 @@ def test_live_results_of_a_recording_has_one_for_every_frame(network: Network) -
         live_results(source, network, objects=0)
     with pytest.raises(ValueError, match="max_looks: expected at least 1"):
         live_results(source, network, max_looks=0)
+
+
+@dataclass(frozen=True)
+class Everywhere:
+    """Places without an object, all apart from each other; none knows how many objects there are."""
+
+    places: tuple[Region, ...] = tuple((40 * k, 400, 38, 60) for k in range(8))
+    most: int | None = None
+
+    def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
+        del recorded
+        return self.places
+
+
+@pytest.mark.parametrize("way", [Tracking, EachByItself])
+def test_a_loop_that_is_told_to_stop_looks_at_no_further_place(
+    way: type[Tracking | EachByItself], network: Network, frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Region] = []
+    loops: list[LiveLoop] = []
+
+    def counted(run: Callable[..., object]) -> Callable[..., object]:
+        def called(network: Network, frame: RgbdFrame, place: Region, **more: int) -> object:
+            looked.append(place)
+            if len(looked) == 2:
+                loops[0].stop()
+            return run(network, frame, place, **more)
+
+        return called
+
+    monkeypatch.setattr(following, "examine", counted(examine))
+    monkeypatch.setattr(following, "estimate", counted(estimate))
+    with LiveLoop([frames[0], at(frames[0], 1)], way(network, Everywhere())) as loop:
+        loops.append(loop)
+        assert len(list(loop)) == 1
+    assert len(looked) == 2

@@ -217,6 +217,46 @@ def test_a_reader_that_goes_away_is_told_once_and_the_loop_goes_on() -> None:
     assert sum("Broken pipe" in sentence for sentence in told) == 1
 
 
+def test_a_reader_whose_end_is_wanted_ends_the_loop_without_a_word() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    told: list[str] = []
+    gone = threading.Event()
+    with Sinks([(LineSink(writing, name="pipe"), EVERY)], tell=told.append, reader_gone=gone.set) as sinks:
+        sinks.put(empty_result(0))
+        assert gone.wait(10)
+    assert told == []
+    assert sinks.counts["pipe"].failed == 1
+
+
+def test_a_loop_that_can_wait_loses_no_result_to_a_slow_record_and_none_waits_for_the_newest() -> None:
+    record, present = Script(lambda _: time.sleep(0.002)), Script(lambda _: time.sleep(0.002))
+    present.name = "present"
+    with Sinks([(record, 3), (present, NEWEST)], waits=lambda: True, close_s=20) as sinks:
+        for i in range(50):
+            sinks.put(empty_result(i))
+        sinks.drain()
+        assert sinks.counts["script"].waiting <= 1
+    assert record.seen == list(range(50))
+    assert sinks.counts["script"].dropped == 0
+    counts = sinks.counts["present"]
+    assert counts.written + counts.dropped == 50
+
+
+def test_a_loop_that_waits_for_a_sink_that_hangs_can_be_ended() -> None:
+    ending, go_on = threading.Event(), threading.Event()
+    sink = Script(lambda _: go_on.wait(20))
+    threading.Timer(0.2, ending.set).start()
+    began_s = time.monotonic()
+    with Sinks([(sink, 2)], waits=lambda: not ending.is_set(), close_s=0.2) as sinks:
+        for i in range(10):
+            sinks.put(empty_result(i))
+        assert ending.is_set()
+        sinks.drain()
+    assert time.monotonic() - began_s < 5.0
+    go_on.set()
+
+
 def test_datagrams_arrive_and_a_listener_that_is_away_is_no_fault(results: list[LiveResult]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))

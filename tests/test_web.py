@@ -92,6 +92,9 @@ def test_the_page_loads_nothing_from_elsewhere_and_only_this_computer_is_answere
     port = sink.url.rstrip("/").rpartition(":")[2]
     assert get(sink, "/history", host=f"localhost:{port}")[0] == 200
     assert get(sink, "/history", host=f"camera.example:{port}")[0] == 403
+    # At port 80 browsers leave it out.
+    assert get(sink, "/history", host="localhost")[0] == 200
+    assert get(sink, "/history", host="localhost.example")[0] == 403
 
 
 def test_a_browser_that_reads_nothing_gets_the_newest_later_and_holds_nobody_up(sink: WebSink) -> None:

@@ -82,10 +82,11 @@ def require_region(name: str, source: FrameSource, region: Region | None) -> Non
             raise UsageError(f"{name}: this {source.format} does not say where the object is; pass --region x,y,w,h")
     else:
         for width, height in {(entry.camera.width, entry.camera.height) for entry in source.entries}:
-            _require_inside(region, width, height)
+            require_inside(region, width, height)
 
 
-def _require_inside(region: Region, width: int, height: int) -> None:
+def require_inside(region: Region, width: int, height: int) -> None:
+    """UsageError for a region that is not in pictures of that size."""
     try:
         check_region(region, width, height)
     except ValueError as error:
@@ -108,7 +109,7 @@ def estimates(inputs: Inputs[AnySource], frames: Iterable[RecordedFrame] | None 
     for recorded in inputs.source if frames is None else frames:
         instances = recorded.instances or (Instance(None),)
         if inputs.region is not None:
-            _require_inside(inputs.region, recorded.frame.camera.width, recorded.frame.camera.height)
+            require_inside(inputs.region, recorded.frame.camera.width, recorded.frame.camera.height)
             instances = (Instance(inputs.region),)
         yield recorded, tuple((instance, _estimate(inputs, recorded, instance)) for instance in instances)
 

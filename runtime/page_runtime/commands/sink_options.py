@@ -89,12 +89,14 @@ def open_sinks(
     tell: Callable[[str], None],
     category: Category | None = None,
     calibration: str | None = None,
+    waits: Callable[[], bool] = lambda: False,
+    reader_gone: Callable[[], None] | None = None,
 ) -> Iterator[Sinks]:
     """The sinks that the options name, running: `with open_sinks(...) as sinks: ... sinks.put(result)`.
 
     tell: takes a sentence from any thread: faults, addresses, what was passed over. category, calibration: of the
-    objects and of the camera, for recordings. Raises UsageError or SourceError when a sink cannot be had, and then
-    leaves no file behind.
+    objects and of the camera, for recordings. waits, reader_gone: as in `Sinks`. Raises UsageError or SourceError when
+    a sink cannot be had, and then leaves no file behind.
     """
     from page_runtime.sinks.queue import Sinks
 
@@ -105,7 +107,7 @@ def open_sinks(
     for sink, _ in made:
         if sink.name.startswith("web "):
             tell(f"the page is at {sink.name.removeprefix('web ')}")
-    with Sinks(made, tell=tell) as sinks:
+    with Sinks(made, tell=tell, waits=waits, reader_gone=reader_gone) as sinks:
         yield sinks
 
 

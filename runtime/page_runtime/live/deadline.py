@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Deadline:
-    """at_s: seconds of `time.monotonic`; None where there is no hurry."""
+    """at_s: seconds of `time.monotonic`; None where there is no hurry. stopping: whether the loop was told to end,
+    which leaves no time for anything more."""
 
     at_s: float | None = None
+    stopping: Callable[[], bool] = lambda: False
 
     @property
     def left_s(self) -> float:
@@ -23,4 +26,4 @@ class Deadline:
 
     def allows(self, cost_s: float) -> bool:
         """Whether something that takes so long would be done in time."""
-        return cost_s <= self.left_s
+        return not self.stopping() and cost_s <= self.left_s

@@ -51,13 +51,15 @@ class RunningFigures:
     def document(self, counts: LoopCounts) -> dict[str, Any]:
         """In JSON's types. latency_ms, frames_per_s: null before there are enough results. jitter: of every part of
         every object seen in the window: root mean square of what two steps from frame to frame differ by, over sqrt(6),
-        which is the standard deviation of errors independent from frame to frame under even motion."""
-        last = self._last
+        which is the standard deviation of errors independent from frame to frame under even motion. silent_s: since
+        the last result, or the start without one."""
+        last, now_s = self._last, time.monotonic()
         latencies = [latency for _, latency in self._results]
         p50, p95 = np.percentile(latencies, [50, 95]).tolist() if latencies else (None, None)
         return {
             "state": "searching" if last is None else last.state,
-            "uptime_s": round(time.monotonic() - self._began_s, 3),
+            "uptime_s": round(now_s - self._began_s, 3),
+            "silent_s": round(now_s - (self._results[-1][0] if self._results else self._began_s), 3),
             "frame": None if last is None else last.frame.index,
             "objects": [] if last is None else [one.number for one in last.objects],
             "reason": None if last is None else last.reason or None,

@@ -8,15 +8,16 @@ from time import perf_counter
 
 from page_runtime.estimator import MAX_LOOKS, estimate, examine
 from page_runtime.frame import RgbdFrame
-from page_runtime.live.advance import START_TRUST, Advanced, advanced, observation, trust
+from page_runtime.live.advance import SAME_ROTATION_RAD, START_TRUST, Advanced, advanced, observation, trust
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.locate import Locator, overlap
 from page_runtime.live.loop import Followed
+from page_runtime.live.near import agreement
 from page_runtime.live.prior import expected_region
 from page_runtime.live.result import LiveObject, LiveState
 from page_runtime.live.track import Observation, Track, begun, filtered_pose, joint_rates, prior_of
 from page_runtime.network import Network
-from page_runtime.pose import ArticulatedPose, NotSeen
+from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import Region
 
@@ -29,7 +30,11 @@ LOOK_AROUND_S = 1.0
 PERIOD_S = 1 / 30
 # A region of which so much is in a followed object's is about that object.
 _SAME_PLACE = 0.5
+# Two tracks nearer to each other than this share of a part's diagonal follow one object; stacked things are farther.
+_SAME_BODY = 0.03
 _COST_MEMORY = 0.8
+# In a second: a search that once took long is not put off for ever, or a wrong pose would never be checked.
+_COST_FADES = 0.95
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,6 +60,7 @@ class Tracking:
         self._next_number = 0
         self._looked_s = float("-inf")
         self._time_s: float | None = None
+        self._shift_s = 0.0
         self._search_s = 0.0
         self._turn = 0
 
@@ -66,7 +72,10 @@ class Tracking:
         reasons: list[str] = []
         searched = tracked = lost = 0
         for track, region in self._take_tracks():
+            began = perf_counter()
             step = advanced(self._network, track, frame, time_s, deadline, self._search_s)
+            if step.searched:
+                self._search_s = max(perf_counter() - began, self._search_s)
             if step.pose is not None:
                 _add(stage_ms, step.pose)
                 objects.append(self._live_object(step, frame))
@@ -79,6 +88,10 @@ class Tracking:
             else:
                 reasons.append(f"object {track.number}: {step.reason}")
                 self._tracks.append((step.track, region))
+        twins = _twins(objects)
+        objects = [one for one in objects if one.number not in twins]
+        self._tracks = [own for own in self._tracks if own[0].number not in twins]
+        lost += len(twins)
         self._lost = [one for one in self._lost if time_s - one.since_s <= FORGET_S]
         if self._wants_more(time_s):
             found = self._search(recorded, time_s, deadline, stage_ms, reasons)
@@ -95,9 +108,14 @@ class Tracking:
         )
 
     def _clock(self, frame: RgbdFrame) -> float:
-        """The source's time, or a period more than the last where it has none or steps back."""
-        before = self._time_s
-        now = frame.timestamp_s if before is None or frame.timestamp_s > before else before + PERIOD_S
+        """The source's time, or a period more than the last where it has none or steps back, and from there at the
+        source's pace."""
+        now = frame.timestamp_s + self._shift_s
+        if self._time_s is not None and now <= self._time_s:
+            self._shift_s += self._time_s + PERIOD_S - now
+            now = self._time_s + PERIOD_S
+        if self._time_s is not None:
+            self._search_s *= _COST_FADES ** (now - self._time_s)
         self._time_s = now
         return now
 
@@ -195,7 +213,8 @@ class Tracking:
 class EachByItself:
     """Finds the objects of every frame as if it were the only one: `estimator.estimate` wherever `locator` says.
 
-    Everything is reported, however unlikely; objects are numbered in the locator's order.
+    Everything is reported, however unlikely; objects are numbered in the locator's order. Nothing is left out for a
+    deadline, only for the end of the loop.
     """
 
     def __init__(self, network: Network, locator: Locator, *, max_looks: int = MAX_LOOKS) -> None:
@@ -203,18 +222,36 @@ class EachByItself:
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
         """All objects of this frame."""
-        del deadline  # Nothing is known of how long the next frame takes, and nothing can be left out.
         stage_ms: dict[str, float] = {}
         began = perf_counter()
         places: Sequence[Region] = self._locator.locate(recorded)
         stage_ms["locating"] = 1e3 * (perf_counter() - began)
         objects = []
         for number, place in enumerate(places):
+            if number and deadline.stopping():
+                break
             pose = estimate(self._network, recorded.frame, place, max_looks=self._max_looks)
             _add(stage_ms, pose)
             objects.append(LiveObject(number, place, pose, tracked=False))
         reason = "" if objects else "nothing says where an object is in this frame"
         return Followed(tuple(objects), "searching", stage_ms, reason, searched=len(objects))
+
+
+def _twins(objects: Sequence[LiveObject]) -> set[int]:
+    """Numbers of tracks that have come to follow the object of an older one: two bodies are not in one place."""
+    kept: list[LiveObject] = []
+    twins: set[int] = set()
+    for one in sorted(objects, key=lambda found: found.number):
+        if any(_same_body(one.pose, other.pose) for other in kept):
+            twins.add(one.number)
+        else:
+            kept.append(one)
+    return twins
+
+
+def _same_body(one: ArticulatedPose, other: ArticulatedPose) -> bool:
+    both = any(isinstance(a, PartPose) and isinstance(b, PartPose) for a, b in zip(one.parts, other.parts, strict=True))
+    return both and agreement(one.parts, other.parts, rotation_rad=SAME_ROTATION_RAD, share=_SAME_BODY)
 
 
 def _away(one: Region, other: Region) -> float:

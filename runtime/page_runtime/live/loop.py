@@ -61,6 +61,7 @@ class LiveLoop:
         if deadline_s is not None and not deadline_s > 0.0:
             raise ValueError(f"deadline_s: expected seconds > 0 or None, got {deadline_s}; None is no deadline")
         self._follower, self._deadline_s = follower, deadline_s
+        self._stopping = False
         self._slot = FrameSlot(source, name=name)
 
     def __iter__(self) -> Iterator[LiveResult]:
@@ -81,8 +82,15 @@ class LiveLoop:
         return self.counts
 
     def stop(self) -> None:
-        """End the iteration after the result of the moment; does not wait, and may be called by a signal's handler."""
+        """End the iteration after the result of the moment, from which places not looked at yet are left out; does not
+        wait, and may be called by a signal's handler."""
+        self._stopping = True
         self._slot.stop()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether `stop` was called, be it after the end."""
+        return self._stopping
 
     def close(self) -> None:
         """Stop, and give the thread back; a frame that waits counts as dropped."""
@@ -102,7 +110,8 @@ class LiveLoop:
         return self._slot.counts
 
     def _result(self, received: Received) -> LiveResult:
-        deadline = Deadline(None if self._deadline_s is None else received.received_s + self._deadline_s)
+        at_s = None if self._deadline_s is None else received.received_s + self._deadline_s
+        deadline = Deadline(at_s, lambda: self.stopping)
         followed = self._follower.follow(received.recorded, deadline)
         late = deadline.passed
         latency_ms = 1e3 * (time.monotonic() - received.received_s)

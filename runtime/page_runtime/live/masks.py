@@ -23,6 +23,7 @@ class MaskFolder:
     """Where the pictures of a folder are not 0: NNNNNN.png for frame N, however many zeros; the size of the frames.
 
     Single-channel, 8 or 16 bits; each value is an object, in the values' order. A frame without a mask has no object.
+    Only an object's box counts: what of it is background is for the network to say, as everywhere.
     `opened` makes one. most: objects at a time, None for any number.
     """
 

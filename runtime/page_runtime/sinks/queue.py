@@ -1,8 +1,8 @@
 """Results handed to any number of sinks, each in a thread of its own, none of which can slow the loop.
 
 Between the loop and a sink lies a queue of bounded length. Where the sink is slower than the loop the oldest waiting
-result makes room for the newest and is counted: a queue of one always holds the newest. What a sink raises is counted,
-and told once.
+result makes room for the newest and is counted: a queue of one always holds the newest. Where the loop can wait, as
+with a recording, a longer queue loses nothing. What a sink raises is counted, and told once.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from page_runtime.sinks.sink import Sink
 NEWEST = 1
 EVERY = 32
 CLOSE_S = 1.5
+# How soon a loop that waits for a sink sees that it is to end.
+_LOOK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +46,17 @@ class SinkCounts:
 @dataclass(eq=False, slots=True)
 class QueuedSink:
     """A sink behind a queue of `capacity` results. tell: is given a sentence at the first fault, and at the last of it.
+    waits: while it is true, `put` waits for room in a queue of more than one. reader_gone: called instead of `tell`
+    when nobody reads a pipe any more.
 
-    `put` never waits for the sink. It runs from `start` to `finish`.
+    Otherwise `put` never waits for the sink. It runs from `start` to `finish`.
     """
 
     sink: Sink
     capacity: int = NEWEST
     tell: Callable[[str], None] = lambda _: None
+    waits: Callable[[], bool] = lambda: False
+    reader_gone: Callable[[], None] | None = None
     _waiting: deque[LiveResult] = field(default_factory=deque)
     _changed: threading.Condition = field(default_factory=threading.Condition)
     _thread: threading.Thread | None = None
@@ -58,6 +64,7 @@ class QueuedSink:
     _busy: bool = False
     _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("given", "written", "dropped", "failed"), 0))
     _fault: str = ""
+    _abandoned: bool = False
     _closed: bool = False
 
     def __post_init__(self) -> None:
@@ -76,14 +83,21 @@ class QueuedSink:
             waiting = len(self._waiting) + self._busy
             return SinkCounts(**self._counts, waiting=waiting, fault=self._fault, closed=self._closed)
 
+    @property
+    def abandoned(self) -> bool:
+        """Whether it was a pipe whose reader went away, and `reader_gone` was called."""
+        return self._abandoned
+
     def start(self) -> None:
         """Start the thread. A daemon: a sink that hangs must not keep the process from ending."""
         self._thread = threading.Thread(target=self._run, name=f"sink {self.name}", daemon=True)
         self._thread.start()
 
     def put(self, result: LiveResult) -> None:
-        """Queue one result, the oldest waiting one making room where there is none."""
+        """Queue one result, the oldest waiting one making room where there is none and it does not wait."""
         with self._changed:
+            while len(self._waiting) == self.capacity > NEWEST and self._deadline_s is None and self.waits():
+                self._changed.wait(_LOOK_S)
             self._counts["given"] += 1
             if self._deadline_s is not None:
                 self._counts["dropped"] += 1
@@ -92,14 +106,20 @@ class QueuedSink:
                 self._waiting.popleft()
                 self._counts["dropped"] += 1
             self._waiting.append(result)
-            self._changed.notify()
+            self._changed.notify_all()
+
+    def drain(self) -> None:
+        """Return when nothing waits any more in a queue of more than one, or there is no waiting."""
+        with self._changed:
+            while self._waiting and self.capacity > NEWEST and self.waits():
+                self._changed.wait(_LOOK_S)
 
     def finish(self, deadline_s: float) -> None:
         """Take no more results; the waiting ones are written until `deadline_s` (time.monotonic), then it closes."""
         with self._changed:
             if self._deadline_s is None:
                 self._deadline_s = deadline_s
-            self._changed.notify()
+            self._changed.notify_all()
 
     def join(self, deadline_s: float) -> bool:
         """Wait for the end until `deadline_s` (time.monotonic); whether the sink is closed."""
@@ -133,6 +153,7 @@ class QueuedSink:
             if not self._waiting:
                 return None
             self._busy = True
+            self._changed.notify_all()
             return self._waiting.popleft()
 
     def _done(self, outcome: str, error: Exception | None = None) -> None:
@@ -146,7 +167,10 @@ class QueuedSink:
         with self._changed:
             is_first = not self._fault
             self._fault = " ".join(f"{error}".split()) or type(error).__name__
-        if is_first:
+            self._abandoned = self.reader_gone is not None and isinstance(error, BrokenPipeError)
+        if self._abandoned and self.reader_gone is not None:
+            self.reader_gone()
+        elif is_first:
             self.tell(f"{self.name}: {self._fault}; the loop goes on without it, and this is not said again")
 
 
@@ -162,10 +186,14 @@ class Sinks:
         sinks: Iterable[tuple[Sink, int]],
         *,
         tell: Callable[[str], None] = lambda _: None,
+        waits: Callable[[], bool] = lambda: False,
+        reader_gone: Callable[[], None] | None = None,
         close_s: float = CLOSE_S,
     ) -> None:
-        """sinks: each with the length of its queue (NEWEST, EVERY). tell: takes a sentence, from any thread."""
-        self._queued = tuple(QueuedSink(sink, capacity, tell) for sink, capacity in sinks)
+        """sinks: each with the length of its queue (NEWEST, EVERY). tell: takes a sentence, from any thread. waits:
+        while it is true, a queue of more than one is waited for, and none of its results is dropped; for recordings.
+        reader_gone: called, from any thread, instead of telling that a pipe's reader went away."""
+        self._queued = tuple(QueuedSink(sink, capacity, tell, waits, reader_gone) for sink, capacity in sinks)
         self._tell, self._close_s = tell, close_s
 
     def __enter__(self) -> Sinks:
@@ -180,9 +208,14 @@ class Sinks:
         return len(self._queued)
 
     def put(self, result: LiveResult) -> None:
-        """Give a result to every sink; returns at once."""
+        """Give a result to every sink; returns at once, unless it `waits`."""
         for queued in self._queued:
             queued.put(result)
+
+    def drain(self) -> None:
+        """At the end of a recording: return when every sink that is waited for has what was given to it."""
+        for queued in self._queued:
+            queued.drain()
 
     @property
     def counts(self) -> dict[str, SinkCounts]:
@@ -199,7 +232,7 @@ class Sinks:
                 self._tell(f"{queued.name}: did not close within {self._close_s:g} s and is left behind")
         for queued in self._queued:
             counts = queued.counts
-            if counts.dropped or counts.failed:
+            if (counts.dropped or counts.failed) and not queued.abandoned:
                 self._tell(
                     f"{queued.name}: of {counts.given} results {counts.written} written, {counts.dropped} passed over "
                     f"for newer ones, {counts.failed} failed"

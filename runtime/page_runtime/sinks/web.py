@@ -140,7 +140,8 @@ class _Handler(BaseHTTPRequestHandler):
         (DNS rebinding) and would read the camera."""
         if self.server.server_address[0] != LOOPBACK:
             return True
-        return self.headers.get("Host", "").rpartition(":")[0] in (LOOPBACK, "localhost")
+        # At port 80 browsers leave the port out.
+        return self.headers.get("Host", "").partition(":")[0] in (LOOPBACK, "localhost")
 
     def _numbered(self, path: str) -> _Shown | None:
         name = path.removeprefix("/picture/").removesuffix(".jpg")
