@@ -14,7 +14,7 @@ from page_training.cache import make_shard
 from page_training.categories import CATEGORIES, category_named
 from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint, trained_category
 from page_training.config import Augmentation, TrainingConfig
-from page_training.layers import GeometryGuidedFuser, gather_rows, group_maximum, sample_bilinear
+from page_training.layers import GeometryGuidedFuser, gather_rows, group_maximum, sample_bilinear, weighted_rows
 from page_training.losses import MIN_PART_POINTS, page_loss, part_weights
 from page_training.network import NetworkOutputs, network_for
 from page_training.records import open_shards, record_type, shard_path
@@ -140,6 +140,9 @@ def test_gathering_and_maximum_equal_their_plain_forms() -> None:
     torch.testing.assert_close(gathered, expected)
     torch.testing.assert_close(group_maximum(gathered), expected.amax(dim=2))
     assert torch.autograd.gradcheck(lambda x: group_maximum(gather_rows(x, index)), (features,))
+    weight = torch.rand(3, 7, 4, dtype=torch.double)
+    torch.testing.assert_close(weighted_rows(features, index, weight), (gathered * weight.unsqueeze(-1)).sum(dim=2))
+    assert torch.autograd.gradcheck(lambda x: weighted_rows(x, index, weight), (features,))
 
 
 def test_dense_subset_gives_the_same_numbers_as_all_points(cache: Path) -> None:
