@@ -39,17 +39,22 @@ def pixel_grid(camera: Camera) -> Array:
     return np.stack([columns, rows], axis=-1).astype(float)
 
 
+@cache
+def pixel_rays(raw: RawCamera) -> Array:
+    return raw.rays(pixel_grid(raw.camera))
+
+
 def plane_depth(raw: RawCamera, normal: Array = NORMAL, offset: float = OFFSET) -> Array:
     """True z-depth (H,W) of the plane of the depth camera's frame, seen by a camera placed in it."""
     T = raw.camera.T_camera_world
     normal_camera = T[:3, :3] @ normal
-    return (offset + normal_camera @ T[:3, 3]) / (raw.rays(pixel_grid(raw.camera)) @ normal_camera)
+    return (offset + normal_camera @ T[:3, 3]) / (pixel_rays(raw) @ normal_camera)
 
 
 @cache
 def points_color() -> Array:
     """What each raw colour pixel sees of the plane, (H,W,3), colour camera's frame."""
-    return COLOR.backproject(pixel_grid(COLOR.camera), plane_depth(COLOR))
+    return pixel_rays(COLOR) * plane_depth(COLOR)[..., None]
 
 
 @cache

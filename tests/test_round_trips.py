@@ -258,6 +258,29 @@ def test_a_camera_that_changes_stays_with_its_frame_or_is_refused(layout: str, t
         np.testing.assert_allclose(other.frame.camera.K, one.frame.camera.K, atol=1e-9)
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_frames_of_odd_sizes_keep_every_row_and_column_or_are_refused(layout: str, tmp_path: Path) -> None:
+    whole = recorded_toy.frames(1)[0].frame
+    frame = replace(
+        whole, color=whole.color[:119, :159], depth_m=whole.depth_m[:119, :159], camera=whole.camera.cropped(0, 0, 159, 119)
+    )  # fmt: skip
+    path = tmp_path / ("frames.mcap" if layout == "mcap" else layout)
+
+    def write() -> None:
+        with frame_writer(path, layout) as writer:
+            writer.write(RecordedFrame(frame))
+
+    if layout == "video":
+        with pytest.raises(SourceError, match="even width and height for a video, got 159x119"):
+            write()
+        assert list(tmp_path.iterdir()) == []
+        return
+    write()
+    (played,) = open_source(path)
+    np.testing.assert_array_equal(played.frame.color, frame.color)
+    np.testing.assert_array_equal(played.frame.depth_m, frame.depth_m)
+
+
 @pytest.mark.parametrize("layout", ["mcap", "tum", "ros2-mcap", "ros2-sqlite3"])
 def test_frames_without_times_of_their_own_are_refused_where_time_is_their_name(layout: str, tmp_path: Path) -> None:
     frames = [RecordedFrame(replace(one.frame, timestamp_s=0.0)) for one in recorded_toy.frames()[:2]]

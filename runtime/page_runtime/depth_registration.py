@@ -26,6 +26,8 @@ SAME_SURFACE = 0.02
 NO_READING_M = np.float32(1e-6)
 # A third look moves no depth by more than float32 rounding.
 LOOKS = 2
+# Rows registered at once: 24 to 60 rows of 640 pixels take a sixth less time than a whole picture.
+BAND_ROWS = 40
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,7 +86,7 @@ def register_depth(registration: Registration, depth_m: NDArray[np.float32]) -> 
         camera.K,
         np.zeros(4),
         registration.T_color_depth,
-        np.where(nearest > 0, nearest, np.float32(np.nan)),
+        nearest,
         (camera.width, camera.height),
         depthDilation=True,
     )
@@ -99,27 +101,62 @@ def _between_readings(
     cell = np.ones((2, 2), np.uint8)
     low = cv2.erode(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
     high = cv2.dilate(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=np.inf)
-    one_surface = ((high < 1 / NO_READING_M) & (high - low <= SAME_SURFACE * high)).view(np.uint8)
-    x0, y0, z0 = (registration.depth.camera.K @ invert(registration.T_color_depth)[:3, 3]).astype(np.float32)
-    shift = np.float32(registration.T_color_depth[2, 3])
-    ray_x, ray_y, ray_z = (np.asarray(ray, np.float32) for ray in registration.pixel_rays)
+    # Four pixels without a reading are one surface too, so near that no ray's depth agrees with it.
+    one_surface = cv2.compare(low, high * np.float32(1 - SAME_SURFACE), cv2.CMP_GE)
+    depth_map = None if registration.depth.distortion.is_none else registration.depth_map
+    T_color_depth = registration.T_color_depth
+    origin = (registration.depth.camera.K @ invert(T_color_depth)[:3, 3]).astype(np.float32)
+    shift = np.float32(T_color_depth[2, 3])
+    registered = np.empty_like(z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for first in range(0, len(z), BAND_ROWS):
+            band = slice(first, first + BAND_ROWS)
+            rays = registration.pixel_rays[:, band]
+            registered[band] = _band_between(z[band], rays, origin, shift, depth_map, inverse, one_surface)
+    return registered
+
+
+def _band_between(
+    z: NDArray[np.float32],
+    rays: NDArray[np.float32],
+    origin: NDArray[np.float32],
+    shift: np.float32,
+    depth_map: NDArray[np.float32] | None,
+    inverse: NDArray[np.float32],
+    one_surface: NDArray[np.uint8],
+) -> NDArray[np.float32]:
+    """`_between_readings` of some rows, few enough that a core's cache holds what is computed of them.
+
+    z (h,W); rays (3,h,W) and origin (3,), colour's place, in homogeneous pixels of the undistorted depth picture;
+    shift: the depth camera's place along colour's axis.
+    """
+    (ray_x, ray_y, ray_z), (x0, y0, z0) = rays, origin
     # Without a reading the ray's point is the depth camera's own place, as far as that: nowhere in its picture.
-    found, allowed = z, np.float32(SAME_SURFACE) * z
+    found, allowed = z.copy(), np.float32(SAME_SURFACE) * z
     for _ in range(LOOKS):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = 1 / (found * ray_z + z0)
-            u, v = (found * ray_x + x0) * scale, (found * ray_y + y0) * scale
-        if not registration.depth.distortion.is_none:
-            pixels = _remapped(registration.depth_map, u, v, outside=-9.0)
+        scale = found * ray_z
+        scale += z0
+        np.divide(1, scale, out=scale)
+        u, v = found * ray_x, found * ray_y
+        u += x0
+        u *= scale
+        v += y0
+        v *= scale
+        if depth_map is not None:
+            pixels = _remapped(depth_map, u, v, outside=-9.0)
             u, v = (np.ascontiguousarray(pixels[..., i]) for i in (0, 1))
         read = _remapped(inverse, u, v)
         # Rounding half a pixel less finds the upper left of the four.
-        inside = cv2.remap(one_surface, u - np.float32(0.5), v - np.float32(0.5), cv2.INTER_NEAREST)
+        u -= np.float32(0.5)
+        v -= np.float32(0.5)
+        inside = cv2.remap(one_surface, u, v, cv2.INTER_NEAREST)
         # A point's depth along colour's axis less the cameras' distance along it goes as its depth along the other's.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            moved = (found - shift) * scale / read + shift
-            accepted = (np.abs(moved - z) <= allowed) & inside.view(bool)
-        found = np.where(accepted, moved, found)
+        moved = found - shift
+        moved *= scale
+        moved /= read
+        moved += shift
+        accepted = cv2.bitwise_and(cv2.compare(cv2.absdiff(moved, z), allowed, cv2.CMP_LE), inside)
+        cv2.copyTo(moved, accepted, found)
     return found
 
 
