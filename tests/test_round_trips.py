@@ -261,9 +261,8 @@ def test_a_camera_that_changes_stays_with_its_frame_or_is_refused(layout: str, t
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_frames_of_odd_sizes_keep_every_row_and_column_or_are_refused(layout: str, tmp_path: Path) -> None:
     whole = recorded_toy.frames(1)[0].frame
-    frame = replace(
-        whole, color=whole.color[:119, :159], depth_m=whole.depth_m[:119, :159], camera=whole.camera.cropped(0, 0, 159, 119)
-    )  # fmt: skip
+    camera = whole.camera.cropped(0, 0, 159, 119)
+    frame = replace(whole, color=whole.color[:119, :159], depth_m=whole.depth_m[:119, :159], camera=camera)
     path = tmp_path / ("frames.mcap" if layout == "mcap" else layout)
 
     def write() -> None:

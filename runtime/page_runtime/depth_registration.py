@@ -102,7 +102,7 @@ def _between_readings(
     low = cv2.erode(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=0.0)
     high = cv2.dilate(inverse, cell, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=np.inf)
     # Four pixels without a reading are one surface too, so near that no ray's depth agrees with it.
-    one_surface = cv2.compare(low, high * np.float32(1 - SAME_SURFACE), cv2.CMP_GE)
+    one_surface = np.asarray(cv2.compare(low, high * np.float32(1 - SAME_SURFACE), cv2.CMP_GE), np.uint8)
     depth_map = None if registration.depth.distortion.is_none else registration.depth_map
     T_color_depth = registration.T_color_depth
     origin = (registration.depth.camera.K @ invert(T_color_depth)[:3, 3]).astype(np.float32)
