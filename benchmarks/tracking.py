@@ -22,7 +22,8 @@ from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import Progress, number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.live.deadline import Deadline
-from page_runtime.live.following import EachByItself, Tracking
+from page_runtime.live.each import EachByItself
+from page_runtime.live.following import Tracking
 from page_runtime.live.locate import OwnRegions
 from page_runtime.live.loop import Followed, Follower
 from page_runtime.live.motion import step_between
