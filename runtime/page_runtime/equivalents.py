@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from page_runtime.articulation import unknown_reason
-from page_runtime.category import Category, Part
+from page_runtime.category import Category, Joint, Part
 from page_runtime.geometry import Array, apply, rotation_angle, transform_from
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose
 from page_runtime.recorded import PartTruth
@@ -119,10 +119,16 @@ def renamed_pose(category: Category, pose: ArticulatedPose, renaming: Renaming) 
     joints: list[JointState] = []
     for joint, index, offset in zip(category.joints, renaming.joints, renaming.offsets_rad, strict=True):
         state = pose.joints[index]
-        value = None if state.value is None else state.value + offset
+        value = state.value if state.value is None or not offset else _whole_turns_off(state.value + offset, joint)
         reason = state.reason and unknown_reason(joint, category, seen)
         joints.append(replace(state, name=joint.name, value=value, limits=joint.limits, reason=reason))
     return replace(pose, parts=parts, joints=tuple(joints))
+
+
+def _whole_turns_off(angle_rad: float, joint: Joint) -> float:
+    """The same angle, nearest to the middle of the joint's range."""
+    middle = 0.5 * sum(joint.limits)
+    return angle_rad - 2.0 * np.pi * round((angle_rad - middle) / (2.0 * np.pi))
 
 
 def _renamed_part(part: PartPose | NotSeen, spec: Part, turn: Array) -> PartPose | NotSeen:

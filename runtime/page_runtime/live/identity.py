@@ -25,9 +25,11 @@ SAME_SHARE = 0.2
 _SAME_BODY = 0.03
 # How long an object goes on as it was seen to move; nobody knows where it is carried afterwards.
 _COAST_S = 0.4
-# The 99 % quantile of chi-square with three degrees of freedom: where a part may be, by the track's own covariance.
+# The 99 % quantile of chi-square with three degrees of freedom: where a part may be, by the track's own covariance; but
+# no farther than one diagonal, where the next object stands.
 _PLACE_GATE = 11.3
-# And within this share of its diagonal, where it was put down about where it stood.
+_FARTHEST_SHARE = 1.0
+# And anywhere within this share of its diagonal, where it was put down about where it stood.
 _PLACE_SHARE = 0.5
 # Sizes that are one: the sides' difference in diagonals, mean over the parts. Of single looks at one object 99 % agree
 # to 0.15 (boxes and laptops) and 0.3 (drawers).
@@ -83,9 +85,9 @@ def _distance(expected: Motion, extents_m: Array, part: PartPose, camera: Camera
     off = (T_world_camera @ part.T_camera_part)[:3, 3] - expected.T_a_part[:3, 3]
     R = T_world_camera[:3, :3]
     spread = expected.pose_covariance[3:, 3:] + R @ part.covariance[3:, 3:] @ R.T
-    distance_m = float(np.linalg.norm(off))
-    is_within = distance_m <= _PLACE_SHARE * float(np.linalg.norm(extents_m))
-    return distance_m, is_within or float(off @ np.linalg.solve(spread, off)) <= _PLACE_GATE
+    share = float(np.linalg.norm(off) / np.linalg.norm(extents_m))
+    may_have_moved = share <= _FARTHEST_SHARE and off @ np.linalg.solve(spread, off) <= _PLACE_GATE
+    return float(np.linalg.norm(off)), share <= _PLACE_SHARE or bool(may_have_moved)
 
 
 def twins(category: Category, objects: Sequence[LiveObject]) -> set[int]:

@@ -49,7 +49,7 @@ _OTHER_COLOR = 50
 _MOST_REPAINTED = 0.3
 # Of the points that a part had when the network last saw it: with fewer something is before it, or it has turned away.
 _LEAST_SHARE = 0.4
-# A part of fewer points is too small to be fitted, and goes where its motion and its joints take it.
+# A part of fewer points is too small to be fitted: where most others are, it goes as its motion and its joints say.
 _LEAST_POINTS = 24
 # A part that has so many may be fitted or not, as its points lie: without a fit it is one of those.
 _SURE_POINTS = 60
@@ -123,7 +123,7 @@ def fit_near(
     if doubt:
         return doubt
     evidence: list[PartEvidence | None] = []
-    none_fitted = True
+    carried = 0
     for part, own, spec in zip(prior.parts, members, category.parts, strict=True):
         if part is None:
             evidence.append(None)
@@ -133,9 +133,9 @@ def fit_near(
         if isinstance(found, str):
             return f"{spec.name}: {found}"
         evidence.append(part.evidence if found is None else found)
-        none_fitted = none_fitted and found is None
-    if none_fitted:
-        return "all its parts have too few points"
+        carried += found is None
+    if 2 * carried >= len(prior.known):
+        return f"{carried} of its parts have too few points"
     articulation = articulate(category, evidence)
     parts = tuple(
         NotSeen(spec.name, "not seen: it was not when the network last looked")
