@@ -78,14 +78,16 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
             if counts.received != counts.processed + counts.dropped + counts.waiting:
                 raise ValueError(f"counters: expected received = processed + dropped + waiting, got {counts}")
             now_s, rss = time.monotonic() - began_s, process.memory_info().rss
-            samples[count] = now_s, rss, process.num_fds(), threading.active_count(), result.latency_ms
+            # After the last frame none comes for which it would make room: it waits for as long as it has to.
+            latency_ms = result.latency_ms if result.frame.index < frames - 1 else np.nan
+            samples[count] = now_s, rss, process.num_fds(), threading.active_count(), latency_ms
             count += 1
             # With its last frame the source ends, and the thread that captures with it.
             running = count if counts.received < frames else running
             while progress.done < counts.received:
                 progress.advance()
     quarter, rows = max(1, count // 4), samples[:count]
-    first, last = (float(np.percentile(part[:, 4], 99)) for part in (rows[:quarter], rows[-quarter:]))
+    first, last = (float(np.nanpercentile(part[:, 4], 99)) for part in (rows[:quarter], rows[-quarter:]))
     # The interpreter and the allocators settle in the first quarter.
     rows = rows[quarter:]
     slope = float(np.polyfit(rows[:, 0], rows[:, 1], 1)[0]) * 3600 / 1e6
@@ -104,7 +106,7 @@ def soaked(frames: int, period_s: float, busy_s: float, *, quiet: bool = False) 
         "waiting": end.waiting,
         "period_between_frames_ms": _spread_ms(np.diff(source.sent_s)),
         "processing_ms": _spread_ms(follower.done_s - follower.taken_s),
-        "age_of_result_ms": _spread_ms(follower.done_s - source.sent_s),
+        "age_of_result_ms": _spread_ms((follower.done_s - source.sent_s)[:-1]),
         "age_beyond_period_and_processing_ms": round(1e3 * over_s, 3),
         "p99_latency_first_quarter_ms": round(first, 2),
         "p99_latency_last_quarter_ms": round(last, 2),
