@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from followed_boxes import PERIOD_S, apart, box_network, good_frames, region_of
-from page_runtime import Network, RecordedFrame
+from followed_boxes import PERIOD_S, ROOT, apart, box_network, good_frames, region_of
+from page_runtime import Network, RecordedFrame, estimator, open_source
 from page_runtime.estimator import examine
+from page_runtime.geometry import apply, invert
 from page_runtime.live.advance import observation, trust
 from page_runtime.live.locate import covered
 from page_runtime.live.near import fit_near, pose_near
 from page_runtime.live.prior import expected_region
 from page_runtime.live.track import begun, prior_of
 from page_runtime.live.vote_window import votes_near
+from page_runtime.pose import PartPose
 from page_runtime.scoring import score_keypoints
 from page_runtime.stopwatch import Stopwatch
 
@@ -72,3 +74,28 @@ def test_votes_around_a_place_are_those_of_the_scorer() -> None:
     (nothing, *_) = votes_near(points, np.full_like(radii_m, 9.0), keypoints, voxel_m=0.005)
     assert nothing.peaks == ()
     assert nothing.reason
+
+
+def test_the_points_of_an_examined_region_are_those_of_the_look_whose_answer_was_taken(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Looks in a mirror among them: points as the camera has them, each on the part it is said to be of."""
+    monkeypatch.setattr(estimator, "LOOK_AGAIN_BELOW", 2.0)
+    category, later = network.metadata.category, 0
+    for recorded in open_source(ROOT / "tests" / "data" / "box"):
+        frame, first = recorded.frame, examine(network, recorded.frame, region_of(recorded), max_looks=1)
+        found = examine(network, frame, region_of(recorded), max_looks=3)
+        labelled = found.labelled
+        assert labelled is not None
+        assert first.labelled is not None
+        later += not np.array_equal(labelled.pixels, first.labelled.pixels)
+        rows, columns = np.divmod(labelled.pixels, frame.camera.width)
+        seen = frame.camera.backproject(np.stack([columns, rows], axis=-1), frame.depth_m[rows, columns])
+        np.testing.assert_allclose(labelled.points_camera, seen, atol=1e-5)
+        for part, own in zip(found.pose.parts, labelled.members, strict=True):
+            if not isinstance(part, PartPose) or part.confidence < 0.7:
+                continue
+            points_part = apply(invert(part.T_camera_part), labelled.points_camera[own])
+            assert np.mean(np.abs(points_part) <= 0.5 * part.extents_m + 0.02) > 0.9
+        assert len(labelled.members) == len(category.parts)
+    assert later
