@@ -28,12 +28,13 @@ def numbered_frame(number: int, period_s: float = 1 / 30, *, size: Size = SMALL)
 
 
 class PacedSource:
-    """So many frames, `period_s` apart on a clock that does not wait; sent_s: when each was given."""
+    """So many frames, `period_s` apart on a clock that does not wait. sent_s: when each was given; stored_s: when
+    whoever iterates had put it away and asked for the next; of `time.monotonic`, NaN for one that was not."""
 
     def __init__(self, frames: int, period_s: float, *, size: Size = SMALL, error: Exception | None = None) -> None:
         self.frames, self.period_s, self.size, self.error = frames, period_s, size, error
         # Filled from the start, that a soak measures the loop's memory and not this.
-        self.sent_s = np.full(frames, np.nan)
+        self.sent_s, self.stored_s = np.full(frames, np.nan), np.full(frames, np.nan)
         self.sent = 0
         self.stopped = threading.Event()
 
@@ -48,20 +49,22 @@ class PacedSource:
                 return
             self.sent_s[number], self.sent = time.monotonic(), number + 1
             yield numbered_frame(number, self.period_s, size=self.size)
+            self.stored_s[number] = time.monotonic()
         if self.error is not None:
             raise self.error
 
 
 class Idle:
-    """A follower that finds nothing and takes `busy_s` for it; taken_s: when each frame was given, NaN for one that
-    was not."""
+    """A follower that finds nothing and takes `busy_s` for it. taken_s, done_s: when it began and ended with each
+    frame, NaN for one that it was not given."""
 
     def __init__(self, busy_s: float = 0.0, *, frames: int = 10_000) -> None:
         self.busy_s = busy_s
-        self.taken_s = np.full(frames, np.nan)
+        self.taken_s, self.done_s = np.full(frames, np.nan), np.full(frames, np.nan)
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
         del deadline
         self.taken_s[recorded.frame.index] = time.monotonic()
         time.sleep(self.busy_s)
+        self.done_s[recorded.frame.index] = time.monotonic()
         return Followed((), "searching")

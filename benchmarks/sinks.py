@@ -1,6 +1,6 @@
 """What it costs to give a result to each sink: processor time of the whole process, and bytes.
 
-    python benchmarks/sinks.py [RECORDING] [--bundle B] [--results N] [--json FILE]
+    python benchmarks/sinks.py [RECORDING] [--bundle B] [--results N] [--sink NAME ...] [--json FILE]
 
 The results are a bundle's on the frames of a recording, over and over. Each sink is written to directly, with nothing
 else running in the process; threads of its own (Rerun's, the web server's) count. Needs the extras ros and view.
@@ -55,6 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("recording", nargs="?", type=Path, default=ROOT / "tests/data/laptop")
     parser.add_argument("--bundle", type=Path, default=ROOT / "runtime/bundles/laptop.onnx")
     parser.add_argument("--results", type=int, default=100, metavar="N", help="for each sink (default: 100)")
+    parser.add_argument("--sink", nargs="+", choices=tuple(SINKS), default=tuple(SINKS), help="(default: all)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args(arguments)
     try:
@@ -66,10 +67,16 @@ def main(arguments: list[str] | None = None) -> int:
     if options.json is not None:
         write_json(options.json, document)
     rows = [
-        (name, number(figures["cpu_p50_ms"], 1), number(figures["cpu_p95_ms"], 1), number(figures["kb_a_result"], 0))
+        (
+            name,
+            number(figures["cpu_p50_ms"], 1),
+            number(figures["cpu_p95_ms"], 1),
+            number(figures["kb_a_result"], 0),
+            number(figures["rss_growth_kb_a_result"], 2),
+        )
         for name, figures in document["sinks"].items()
     ]
-    print(table(("sink", "cpu p50 ms", "cpu p95 ms", "kB"), rows), end="")
+    print(table(("sink", "cpu p50 ms", "cpu p95 ms", "kB", "memory kB"), rows), end="")
     return 0
 
 
@@ -78,7 +85,7 @@ def _measured(options: argparse.Namespace) -> dict[str, Any]:
     results = _results(options.recording, options.bundle)
     document: dict[str, Any] = {"recording": options.recording.name, "results": options.results, "sinks": {}}
     with tempfile.TemporaryDirectory() as folder:
-        for name, make in SINKS.items():
+        for name, make in ((name, SINKS[name]) for name in options.sink):
             print(f"sinks: {name}", file=sys.stderr)
             path = Path(folder) / name
             document["sinks"][name] = _cost(make(path), results, options.results)
@@ -100,16 +107,25 @@ def _results(recording: Path, bundle: Path) -> list[LiveResult]:
 
 
 def _cost(sink: Sink, results: list[LiveResult], count: int) -> dict[str, float]:
-    spent_ms = []
+    """rss_growth_kb_a_result: of the process, over the last three quarters of the results; of some hundred it says
+    nothing, as buffers and allocators are still settling."""
+    import psutil
+
+    process, spent_ms, quarter = psutil.Process(), [], WARM_UP + count // 4
+    settled = process.memory_info().rss
     for i in range(count + WARM_UP):
         result = results[i % len(results)]
         result = replace(result, frame=replace(result.frame, index=i, timestamp_s=i / 30))
         begin = time.process_time()
         sink.write(result)
         spent_ms.append((time.process_time() - begin) * 1e3)
+        if i == quarter:
+            settled = process.memory_info().rss
+    growth = (process.memory_info().rss - settled) / 1e3 / max(1, count + WARM_UP - quarter)
     sink.close()
     timed = spent_ms[WARM_UP:]
-    return {f"cpu_p{p}_ms": round(float(np.percentile(timed, p)), 3) for p in (50, 95)}
+    spent = {f"cpu_p{p}_ms": round(float(np.percentile(timed, p)), 3) for p in (50, 95)}
+    return spent | {"rss_growth_kb_a_result": round(growth, 3)}
 
 
 if __name__ == "__main__":

@@ -7,9 +7,7 @@ import json
 import signal
 import subprocess
 import sys
-import threading
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,6 @@ import numpy as np
 import pytest
 
 import live_sources
-import page_runtime.commands.live as command
 from page_runtime import open_source
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.cli import main
@@ -166,45 +163,6 @@ def test_a_region_outside_a_cameras_pictures_is_refused_when_they_come(
     assert "--region: 5000,10,20,20 lies outside the 64x48 image" in capsys.readouterr().err
 
 
-def test_the_status_goes_on_and_tells_the_silence_of_a_camera_that_gives_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "starts").mkdir()
-    stall = partial(live_sources.stall, folder=str(tmp_path / "starts"), frames=2)
-    cameras: list[SupervisedSource] = []
-
-    def camera(name: str, **_: object) -> SupervisedSource:
-        cameras.append(SupervisedSource(stall, name=name))
-        return cameras[0]
-
-    monkeypatch.setattr(sources, "open_oak", camera)
-    monkeypatch.setattr(command, "STATUS_PERIOD_S", 0.05)
-    status, codes = tmp_path / "s.json", list[int]()
-    arguments = ["live", "oak", "--bundle", str(BUNDLE), "--out", str(tmp_path / "o.jsonl"), "--status", str(status)]
-    running = threading.Thread(target=lambda: codes.append(main([*arguments, "--quiet"])))
-    running.start()
-    seen: dict[str, Any] = {}
-    end_s = time.monotonic() + 30.0
-    while not (seen.get("frame") is not None and seen["silent_s"] > 0.5) and time.monotonic() < end_s:
-        time.sleep(0.05)
-        seen = json.loads(status.read_text()) if status.exists() else {}
-    cameras[0].stop()
-    running.join(20.0)
-    assert seen["running"]
-    assert seen["silent_s"] > 0.5
-    assert codes == [0]
-    assert json.loads(status.read_text())["running"] is False
-
-
-def test_a_loop_that_never_began_leaves_the_status_of_another_alone(tmp_path: Path) -> None:
-    out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
-    out.touch()
-    status.write_text("another's")
-    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--status", str(status)]
-    assert main(arguments) == 2
-    assert status.read_text() == "another's"
-
-
 def test_the_end_of_the_only_reader_is_the_end_without_a_word() -> None:
     words = [sys.executable, "-c", ENDLESS, "live", str(BOXES), "--bundle", str(BUNDLE), "--quiet"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -234,18 +192,3 @@ def test_no_result_of_a_recording_is_missing_in_a_file_however_slow_that_is(tmp_
     document = json.loads(status.read_text())
     assert document["counts"]["processed"] == 100
     assert {(counts["written"], counts["dropped"]) for counts in document["sinks"].values()} == {(100, 0)}
-
-
-def test_a_status_that_cannot_be_written_is_told_once_and_the_loop_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(command, "write_json", full)
-    monkeypatch.setattr(command, "STATUS_PERIOD_S", 0.0)
-    out, status = tmp_path / "o.jsonl", tmp_path / "s.json"
-    arguments = ["live", str(BOXES), "--bundle", str(BUNDLE), "--out", str(out), "--status", str(status), "--quiet"]
-    assert main(arguments) == 0
-    assert capsys.readouterr().err.count("No space left on device") == 1
-    assert len(lines_of(out)) == len(open_source(BOXES).entries)

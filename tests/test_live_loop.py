@@ -156,3 +156,17 @@ def test_a_short_soak_counts_every_frame_and_keeps_its_descriptors_and_threads()
     assert figures["waiting"] == 0
     assert len(figures["descriptors"]) == 1
     assert figures["threads"] == [before + 1]
+    assert figures["held"]["sent = processed + dropped"]
+    assert figures["held"]["descriptors and threads constant"]
+
+
+def test_the_soaks_bound_is_broken_by_whoever_takes_a_frame_when_the_next_is_there_and_by_no_slow_period() -> None:
+    from benchmarks.soak import bound_excess_s
+
+    source, follower = PacedSource(4, 0.1), Idle(frames=4)
+    # The third period is three times as long as it should be, and frame 1 was dropped.
+    source.sent_s[:] = source.stored_s[:] = [0.0, 0.1, 0.2, 0.5]
+    follower.taken_s[[0, 2]], follower.done_s[[0, 2]] = [0.05, 0.49], [0.19, 0.9]
+    assert bound_excess_s(source, follower) == pytest.approx(-0.01)
+    follower.taken_s[2] = 0.53
+    assert bound_excess_s(source, follower) == pytest.approx(0.03)

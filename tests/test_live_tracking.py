@@ -3,89 +3,31 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from page_runtime import Network, RecordedFrame, live_results, open_source
+from followed_boxes import apart, at, box_network, good_frames, hidden, only, region_of
+from page_runtime import Network, RecordedFrame
 from page_runtime.estimator import Examined, estimate, examine
-from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import rotation_about, transform_from
 from page_runtime.live import following
-from page_runtime.live.advance import observation, trust
 from page_runtime.live.deadline import Deadline
-from page_runtime.live.following import EachByItself, Tracking
-from page_runtime.live.locate import FixedRegion, OwnRegions, covered, overlap
-from page_runtime.live.loop import LiveLoop
-from page_runtime.live.near import fit_near, pose_near
-from page_runtime.live.prior import expected_region
-from page_runtime.live.result import LiveObject
-from page_runtime.live.track import begun, prior_of
-from page_runtime.live.vote_window import votes_near
-from page_runtime.pose import ArticulatedPose, PartPose
+from page_runtime.live.following import Tracking
+from page_runtime.live.locate import FixedRegion, OwnRegions
 from page_runtime.sampling import Region
-from page_runtime.scoring import score_keypoints
-from page_runtime.stopwatch import Stopwatch
-
-ROOT = Path(__file__).resolve().parents[1]
-PERIOD_S = 1 / 30
 
 
 @pytest.fixture(scope="module")
 def network() -> Network:
-    return Network(ROOT / "runtime" / "bundles" / "box.onnx", threads=1)
+    return box_network()
 
 
 @pytest.fixture(scope="module")
 def frames(network: Network) -> list[RecordedFrame]:
-    """Frames whose object a single look recognises well."""
-    recorded = list(open_source(ROOT / "tests" / "data" / "box"))
-    good = [one for one in recorded if trust(estimate(network, one.frame, region_of(one), max_looks=1)) > 0.8]
-    assert len(good) >= 2
-    return good
-
-
-def region_of(recorded: RecordedFrame) -> Region:
-    region = recorded.instances[0].region
-    assert region is not None
-    return region
-
-
-def at(recorded: RecordedFrame, index: int, *, noise: int | None = None) -> RecordedFrame:
-    """The same frame, later; noise: of depth, by this seed."""
-    depth_m = recorded.frame.depth_m
-    if noise is not None:
-        depth_m = depth_m + np.random.default_rng(noise).normal(0.0, 0.001, depth_m.shape).astype(np.float32)
-        depth_m = np.where(recorded.frame.depth_m > 0, depth_m, np.float32(0))
-    frame = replace(recorded.frame, depth_m=depth_m, timestamp_s=index * PERIOD_S, index=index)
-    return RecordedFrame(frame, recorded.instances)
-
-
-def hidden(recorded: RecordedFrame, index: int) -> RecordedFrame:
-    """A board right before the camera."""
-    frame = recorded.frame
-    color, depth_m = np.full_like(frame.color, 128), np.full_like(frame.depth_m, 0.2)
-    return RecordedFrame(RgbdFrame(color, depth_m, frame.camera, index * PERIOD_S, index))
-
-
-def only(objects: tuple[LiveObject, ...]) -> LiveObject:
-    (found,) = objects
-    return found
-
-
-def apart(one: ArticulatedPose, other: ArticulatedPose) -> tuple[float, float]:
-    """Largest rotation [rad] and translation [m] between the parts of two poses."""
-    pairs = [
-        (a.T_camera_part, b.T_camera_part)
-        for a, b in zip(one.parts, other.parts, strict=True)
-        if isinstance(a, PartPose) and isinstance(b, PartPose)
-    ]
-    assert pairs
-    return max(rotation_error(*pair) for pair in pairs), max(translation_error(*pair) for pair in pairs)
+    return good_frames(network)
 
 
 def test_an_object_is_followed_under_its_number_at_the_pose_a_full_search_finds(
@@ -184,32 +126,6 @@ def test_another_place_is_another_pose_within_two_frames(network: Network, frame
     assert translation_m < 0.03
 
 
-def test_the_estimate_from_an_expected_pose_is_that_of_the_search(
-    network: Network, frames: list[RecordedFrame]
-) -> None:
-    frame = frames[0].frame
-    seen = examine(network, frame, region_of(frames[0]), max_looks=1)
-    assert seen.sample is not None
-    assert seen.output is not None
-    category = network.metadata.category
-    track = begun(0, category, observation(frame, seen.sample, seen.output, seen.pose), frame.camera, 0.0)
-    prior = prior_of(track, frame.camera, PERIOD_S)
-    near = pose_near(network.metadata, seen.sample, seen.output, prior, Stopwatch())
-    rotation_rad, translation_m = apart(near, seen.pose)
-    assert rotation_rad < np.radians(1.0)
-    assert translation_m < 0.002
-    assert abs(trust(near) - trust(seen.pose)) < 0.1
-    region = expected_region(prior, category, frame.camera)
-    assert region is not None
-    assert covered(region_of(frames[0]), region) > 0.7
-    colors = frame.color.reshape(-1, 3)[seen.sample.source_index]
-    fitted = fit_near(category, seen.sample, colors, prior, Stopwatch())
-    assert not isinstance(fitted, str)
-    assert apart(fitted.pose, seen.pose)[0] < np.radians(3.0)
-    repainted = fit_near(category, seen.sample, 255 - colors, prior, Stopwatch())
-    assert isinstance(repainted, str)
-
-
 def test_a_track_is_the_same_in_any_world(network: Network, frames: list[RecordedFrame]) -> None:
     T_camera_world = transform_from(rotation_about(np.array([1.0, 2.0, 3.0]), 1.1), np.array([0.3, -2.0, 1.0]))
     poses = []
@@ -262,85 +178,3 @@ def test_two_tracks_of_one_object_become_the_older_one(network: Network, frames:
     followed = [tracking.follow(at(frames[0], k), Deadline()) for k in range(1, 4)]
     assert [[one.number for one in each.objects] for each in followed] == [[0]] * 3
     assert [each.lost for each in followed] == [1, 0, 0]
-
-
-def test_votes_around_a_place_are_those_of_the_scorer() -> None:
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-0.1, 0.1, (300, 3)) + np.array([0.0, 0.0, 0.8])
-    keypoints = np.array([[0.05, 0.02, 0.75], [-0.04, 0.1, 0.85], [0.0, -0.08, 0.8]])
-    radii_m = np.linalg.norm(points[:, None] - keypoints, axis=2) + rng.normal(0.0, 0.002, (300, 3))
-    radii_m[:20] = np.nan
-    points, radii_m = points.astype(np.float32), radii_m.astype(np.float32)
-    exact = score_keypoints(points, radii_m, voxel_m=0.005)
-    near = votes_near(points, radii_m, keypoints + 0.003, voxel_m=0.005)
-    for one, other in zip(near, exact, strict=True):
-        assert other.gap == 0
-        assert one.max_votes == other.max_votes
-        np.testing.assert_allclose(one.peaks[0].voxel_camera, other.peaks[0].voxel_camera, atol=1e-9)
-        assert one.gap == len(points) - one.max_votes
-    (nothing, *_) = votes_near(points, np.full_like(radii_m, 9.0), keypoints, voxel_m=0.005)
-    assert nothing.peaks == ()
-    assert nothing.reason
-
-
-def test_every_frame_by_itself_is_what_estimate_says(network: Network, frames: list[RecordedFrame]) -> None:
-    followed = EachByItself(network, OwnRegions(), max_looks=1).follow(frames[0], Deadline())
-    found = only(followed.objects)
-    full = estimate(network, frames[0].frame, region_of(frames[0]), max_looks=1)
-    assert apart(found.pose, full) == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert not found.tracked
-
-
-def test_regions_overlap_by_the_smaller_and_cover_by_their_own() -> None:
-    assert overlap((0, 0, 10, 10), (5, 5, 10, 10)) == 0.25
-    assert overlap((0, 0, 10, 10), (2, 2, 2, 2)) == overlap((2, 2, 2, 2), (0, 0, 10, 10)) == 1.0
-    assert overlap((0, 0, 10, 10), (20, 0, 5, 5)) == 0.0
-    assert covered((0, 0, 10, 10), (0, 0, 5, 10)) == 0.5
-    assert covered((0, 0, 5, 10), (0, 0, 10, 10)) == 1.0
-
-
-def test_live_results_of_a_recording_has_one_for_every_frame(network: Network) -> None:
-    source = open_source(ROOT / "tests" / "data" / "box")
-    with live_results(source, network, objects=1) as results:
-        indices = [result.frame.index for result in results]
-    assert indices == [entry.index for entry in source.entries]
-    with pytest.raises(ValueError, match="objects: expected at least 1"):
-        live_results(source, network, objects=0)
-    with pytest.raises(ValueError, match="max_looks: expected at least 1"):
-        live_results(source, network, max_looks=0)
-
-
-@dataclass(frozen=True)
-class Everywhere:
-    """Places without an object, all apart from each other; none knows how many objects there are."""
-
-    places: tuple[Region, ...] = tuple((40 * k, 400, 38, 60) for k in range(8))
-    most: int | None = None
-
-    def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
-        del recorded
-        return self.places
-
-
-@pytest.mark.parametrize("way", [Tracking, EachByItself])
-def test_a_loop_that_is_told_to_stop_looks_at_no_further_place(
-    way: type[Tracking | EachByItself], network: Network, frames: list[RecordedFrame], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    looked: list[Region] = []
-    loops: list[LiveLoop] = []
-
-    def counted(run: Callable[..., object]) -> Callable[..., object]:
-        def called(network: Network, frame: RgbdFrame, place: Region, **more: int) -> object:
-            looked.append(place)
-            if len(looked) == 2:
-                loops[0].stop()
-            return run(network, frame, place, **more)
-
-        return called
-
-    monkeypatch.setattr(following, "examine", counted(examine))
-    monkeypatch.setattr(following, "estimate", counted(estimate))
-    with LiveLoop([frames[0], at(frames[0], 1)], way(network, Everywhere())) as loop:
-        loops.append(loop)
-        assert len(list(loop)) == 1
-    assert len(looked) == 2

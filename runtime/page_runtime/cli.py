@@ -28,6 +28,7 @@ from page_runtime.providers import PROVIDERS, ProviderChoice
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
 EXIT_SOURCE_LOST = 4
+EXIT_FRAMES_FAILING = 5
 EXIT_INTERRUPTED = 130
 # Commands that share a module with another.
 MODULES = {"convert": "record"}
@@ -42,8 +43,8 @@ class Parser(argparse.ArgumentParser):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run page-runtime; returns the exit code: 0 done, 1 `doctor` found a problem or `bench --compare` a slower run or
-    none that proves anything, 2 bad input (no file was written), 3 no camera, 4 a camera that was lost, 130
-    interrupted."""
+    none that proves anything, 2 bad input (no file was written), 3 no camera, 4 a camera that was lost, 5
+    a loop in which every frame fails, 130 interrupted."""
     try:
         options = vars(_parser().parse_args(arguments))
         command = options.pop("command")
@@ -71,6 +72,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     from page_runtime.capture.frame_service import DeviceUnavailable
     from page_runtime.capture.supervision import SourceLost
     from page_runtime.image_files import SourceError
+    from page_runtime.live.faults import FramesFailing
 
     try:
         code = getattr(import_module(f"page_runtime.commands.{MODULES.get(command, command)}"), command)(**options)
@@ -78,6 +80,8 @@ def _call(command: str, options: dict[str, object]) -> int:
         return _refuse(error, code=EXIT_NO_CAMERA)
     except SourceLost as error:
         return _refuse(error, code=EXIT_SOURCE_LOST)
+    except FramesFailing as error:
+        return _refuse(error, code=EXIT_FRAMES_FAILING)
     except (BundleError, SourceError) as error:
         return _refuse(error)
     except BrokenPipeError:

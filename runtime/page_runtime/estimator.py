@@ -8,9 +8,16 @@ import numpy as np
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
-from page_runtime.mirror import mirrored_pose, mirrored_sample
+from page_runtime.mirror import mirror_order, mirrored_pose, mirrored_sample
 from page_runtime.network import DeadlineExceeded, Network, NetworkOutput
-from page_runtime.part_poses import MAX_VOTERS, members_of, pose_from_output, seen_parts
+from page_runtime.part_poses import (
+    MAX_VOTERS,
+    LabelledPoints,
+    labelled_points,
+    members_of,
+    pose_from_output,
+    seen_parts,
+)
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
 from page_runtime.stopwatch import Stopwatch
@@ -47,12 +54,13 @@ def estimate(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Examined:
-    """An estimate, and what it was made of. sample, output: of the first look, also where a later one was likelier;
-    None where the region has too little depth."""
+    """An estimate, and what it was made of; None where the region has too little depth. labelled: the points of the
+    look whose answer was taken, as the camera sees them. sample, output: of the first look, whichever was taken."""
 
     pose: ArticulatedPose
     sample: RegionSample | None = None
     output: NetworkOutput | None = None
+    labelled: LabelledPoints | None = None
 
 
 def examine(
@@ -82,9 +90,9 @@ def examine(
             output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
             watch.stage("network")
     pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
-    first = sample, output
+    first, labelled = (sample, output), labelled_points(sample, output)
     if not metadata.mirrored or metadata.confidence is None:
-        return Examined(pose, *first)
+        return Examined(pose, *first, labelled)
     looks = 1
     for margin in OTHER_MARGINS[: max_looks - 1]:
         if not _unlikely(pose):
@@ -92,18 +100,20 @@ def examine(
         again = sample_for(metadata, frame, region, margin=margin, depth_m=depth_m)
         watch.stage("sampling")
         if isinstance(again, RegionSample):
-            again = mirrored_sample(again)
+            image = mirrored_sample(again)
             try:
-                output = network.run(again, network.neighbours_of(again), seconds=network_seconds)
+                output = network.run(image, network.neighbours_of(image), seconds=network_seconds)
             except DeadlineExceeded:
                 watch.stage("network")
                 break
             watch.stage("network")
-            found = pose_from_output(metadata, again, output, watch, max_voters=max_voters)
+            found = pose_from_output(metadata, image, output, watch, max_voters=max_voters)
             other = mirrored_pose(found, metadata.category)
-            pose = max(pose, other, key=_mean_confidence)
+            if _mean_confidence(other) > _mean_confidence(pose):
+                # Point i of the image is point i of the sample.
+                pose, labelled = other, labelled_points(again, output).in_order(mirror_order(metadata.category))
             looks += 1
-    return Examined(replace(pose, looks=looks), *first)
+    return Examined(replace(pose, looks=looks), *first, labelled)
 
 
 def _unlikely(pose: ArticulatedPose) -> bool:

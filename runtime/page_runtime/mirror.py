@@ -43,13 +43,21 @@ def mirrored_sample(sample: RegionSample) -> RegionSample:
     )
 
 
+def mirror_order(category: Category) -> tuple[int, ...]:
+    """For each part the one that a mirror shows in its place; a ValueError for a category whose objects a mirror shows
+    as others."""
+    if category.mirror is None or category.mirror_joints is None:
+        raise ValueError(f"mirror: expected a category that is its own mirror image, got {category.name!r}")
+    return category.mirror.order(len(category.parts))
+
+
 def mirrored_pose(pose: ArticulatedPose, category: Category) -> ArticulatedPose:
     """What is before the mirror, of the pose of its image (and the other way round); a ValueError for a category whose
     objects a mirror shows as others."""
-    images = category.mirror_joints
-    if category.mirror is None or images is None:
-        raise ValueError(f"mirror: expected a category that is its own mirror image, got {category.name!r}")
-    order, reversal = category.mirror.order(len(category.parts)), category.mirror.reversal
+    order, images = mirror_order(category), category.mirror_joints
+    assert category.mirror is not None
+    assert images is not None
+    reversal = category.mirror.reversal
     parts = tuple(
         replace(part, name=spec.name) if isinstance(part, NotSeen) else _mirrored_part(part, spec, reversal)
         for part, spec in zip((pose.parts[k] for k in order), category.parts, strict=True)

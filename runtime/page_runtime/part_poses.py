@@ -93,6 +93,26 @@ class _Found:
     num_points: int
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class LabelledPoints:
+    """What a look at a region said of its points. points_camera (A,3) m; pixels (A,): which of the frame's pixels, row
+    by row; members: for each part its rows of these."""
+
+    points_camera: NDArray[np.float32]
+    pixels: NDArray[np.intp]
+    members: tuple[NDArray[np.intp], ...]
+
+    def in_order(self, order: Sequence[int]) -> LabelledPoints:
+        """Part k is what was called part order[k]."""
+        return replace(self, members=tuple(self.members[k] for k in order))
+
+
+def labelled_points(sample: RegionSample, output: NetworkOutput) -> LabelledPoints:
+    """The points of the sample that the network answered for, with its answer."""
+    points = answered_points(sample, output)
+    return LabelledPoints(points, sample.source_index[: len(points)], tuple(members_of(output, sample.num_distinct)))
+
+
 def answered_points(sample: RegionSample, output: NetworkOutput) -> NDArray[np.float32]:
     """(A,3) m: the points of the sample that the network answered for, none twice."""
     return sample.points_camera[: sample.num_distinct][: len(output.part_logits)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from time import perf_counter
 
 STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation")
@@ -18,3 +19,9 @@ class Stopwatch:
         now = perf_counter()
         self.stage_ms[name] += (now - self.since) * 1e3
         self.since = now
+
+
+def add_stages(total_ms: dict[str, float], stage_ms: Mapping[str, float]) -> None:
+    """Add the times of one estimate to those of all of a frame's."""
+    for name, value in stage_ms.items():
+        total_ms[name] = total_ms.get(name, 0.0) + value

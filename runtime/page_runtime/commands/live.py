@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from page_runtime.commands.inputs import load_network, require_fitting, require_inside, require_region
-from page_runtime.commands.outputs import require_file_place, write_json
+from page_runtime.commands.inputs import load_network, require_fitting, require_region
+from page_runtime.commands.outputs import require_file_place
 from page_runtime.commands.sink_options import STDOUT, SinkOptions, open_sinks
 from page_runtime.commands.sources import is_live, opened, stopped_by_signals, total_of
+from page_runtime.commands.status_file import status_file
 from page_runtime.commands.terminal import Progress
 from page_runtime.commands.usage import UsageError
 from page_runtime.live.clusters import Clusters
 from page_runtime.live.detector import Detector
-from page_runtime.live.figures import RunningFigures
-from page_runtime.live.following import EachByItself, Tracking
-from page_runtime.live.locate import FixedRegion, Locator, OwnRegions
+from page_runtime.live.each import EachByItself
+from page_runtime.live.faults import FrameFault
+from page_runtime.live.following import Tracking
+from page_runtime.live.locate import FixedRegion, Locator, OwnRegions, RegionError
 from page_runtime.live.loop import LiveLoop
 from page_runtime.live.masks import MaskFolder
 from page_runtime.live.result import LiveResult
 from page_runtime.network import Network
 from page_runtime.providers import ProviderChoice
-from page_runtime.recorded import FrameSource, RecordedFrame, Source
+from page_runtime.recorded import FrameSource, Source
 from page_runtime.sampling import Region
-from page_runtime.sinks.queue import Sinks
 
-STATUS_PERIOD_S = 1.0
 Where = Region | Literal["auto"]
 
 
@@ -85,8 +82,8 @@ def live(
         deadline_s = None if deadline_ms is None else 1e-3 * deadline_ms
         network.warm_up()
         with (
-            LiveLoop(found, follower, deadline_s=deadline_s, name=source) as loop,
-            _ended_by_status(status, loop) as state,
+            LiveLoop(found, follower, deadline_s=deadline_s, name=source, on_event=_tell_of(source)) as loop,
+            status_file(status, loop, tell=_tell) as state,
             open_sinks(
                 sink_options,
                 tell=_tell,
@@ -100,10 +97,12 @@ def live(
             stopped_by_signals(loop),
             loop,
         ):
-            state.start(sinks)
-            for count, result in enumerate(loop, start=1):
+            if state is not None:
+                state.start(sinks)
+            for count, result in enumerate(_results(loop), start=1):
                 sinks.put(result)
-                state.report(result)
+                if state is not None:
+                    state.report(result)
                 progress.advance()
                 if count == frames:
                     break
@@ -112,12 +111,27 @@ def live(
         counts = loop.counts
         sys.stderr.write(
             f"page-runtime: {source}: {counts.received} frames, {counts.processed} processed, {counts.dropped} passed "
-            f"over for newer ones, {counts.late} late\n"
+            f"over for newer ones, {counts.late} late, {counts.failed} failed\n"
         )
 
 
 def _tell(sentence: str) -> None:
     sys.stderr.write(f"page-runtime: {sentence}\n")
+
+
+def _tell_of(source: str) -> Callable[[FrameFault], None]:
+    return lambda fault: _tell(
+        f"{source}: {fault}; the loop goes on without it, and this is not said again, but counted as failed"
+    )
+
+
+def _results(loop: LiveLoop) -> Iterator[LiveResult]:
+    """The loop's results; UsageError where --region is not in its pictures: a camera's have a size when the first one
+    is there, and only then it can be refused."""
+    try:
+        yield from loop
+    except RegionError as error:
+        raise UsageError(f"--{error}") from error
 
 
 def _locator(
@@ -137,80 +151,7 @@ def _locator(
     if detector is not None:
         return Detector(detector, classes=classes, most=most, threads=threads)
     if region is not None and region != "auto":
-        return _RegionOption(region)
+        return FixedRegion(region)
     if region is None and isinstance(source, Source) and source.has_regions:
         return OwnRegions(most)
     return Clusters.of(network.metadata.category, most=most)
-
-
-class _RegionOption(FixedRegion):
-    """--region: a camera's pictures have a size when the first one is there, and only then it can be refused."""
-
-    def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
-        require_inside(self.region, recorded.frame.camera.width, recorded.frame.camera.height)
-        return (self.region,)
-
-
-@contextmanager
-def _ended_by_status(path: Path | None, loop: LiveLoop) -> Iterator[_StatusFile]:
-    """The status file, whose last figures are written when the loop and its sinks have ended."""
-    state = _StatusFile(path, loop)
-    try:
-        yield state
-    finally:
-        state.finish()
-
-
-class _StatusFile:
-    """The state and the figures in a file, once a second even when no frame comes, at every change of state, and at the
-    end. A disk that is full is told once, and does not end the loop."""
-
-    def __init__(self, path: Path | None, loop: LiveLoop) -> None:
-        self._path, self._loop = path, loop
-        self._sinks: Sinks | None = None
-        self._figures, self._state, self._told = RunningFigures(), "", False
-        # Of the figures and the file.
-        self._lock = threading.Lock()
-        self._ended = threading.Event()
-        self._clock = threading.Thread(target=self._tick, name="status", daemon=True)
-
-    def start(self, sinks: Sinks) -> None:
-        """Write the file from now on."""
-        self._sinks = sinks
-        if self._path is not None:
-            self._clock.start()
-
-    def report(self, result: LiveResult) -> None:
-        """Count a result."""
-        if self._path is None:
-            return
-        with self._lock:
-            self._figures.add(result)
-            if result.state != self._state:
-                self._state = result.state
-                self._write(self._path, running=True)
-
-    def finish(self) -> None:
-        """Write the last figures, after the loop and its sinks have ended; nothing where they never began."""
-        if self._path is None or self._sinks is None:
-            return
-        self._ended.set()
-        self._clock.join()
-        with self._lock:
-            self._write(self._path, running=False)
-
-    def _tick(self) -> None:
-        assert self._path is not None
-        while not self._ended.is_set():
-            with self._lock:
-                self._write(self._path, running=True)
-            self._ended.wait(STATUS_PERIOD_S)
-
-    def _write(self, path: Path, *, running: bool) -> None:
-        sinks = {} if self._sinks is None else {name: asdict(one) for name, one in self._sinks.counts.items()}
-        try:
-            write_json(path, {"running": running, **self._figures.document(self._loop.counts), "sinks": sinks})
-        except OSError as error:
-            if not self._told:
-                _tell(f"--status: {path} cannot be written ({error.strerror}); going on")
-            self._told = True

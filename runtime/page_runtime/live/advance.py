@@ -13,16 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.equivalents import nearest_renaming, poses_of, renamed_pose
 from page_runtime.estimator import sample_for
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array
 from page_runtime.live.deadline import Deadline
+from page_runtime.live.identity import SAME_ROTATION_RAD, SAME_SHARE, matched
 from page_runtime.live.locate import covered
 from page_runtime.live.near import agreement, fit_near, pose_near
-from page_runtime.live.prior import Prior, expected_region, surfaces_of
+from page_runtime.live.prior import Prior, expected_region, prior_as_named, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
 from page_runtime.network import Network, NetworkOutput
-from page_runtime.part_poses import answered_points, members_of, pose_from_output
+from page_runtime.part_poses import LabelledPoints, labelled_points, pose_from_output
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.sampling import Region, RegionSample
 from page_runtime.stopwatch import Stopwatch
@@ -32,9 +34,6 @@ CHECK_S = 1.0
 # Mean confidence of the parts that have a pose: to go on with a track, and to begin one.
 KEEP_TRUST = 0.35
 START_TRUST = 0.5
-# Two poses of one object farther apart than this are not both right: rad, and a part's diagonals.
-SAME_ROTATION_RAD = float(np.radians(20.0))
-SAME_SHARE = 0.2
 _DOUBTS = 2
 # Of the region an object turns out to fill, the share that has to have been looked at.
 _ENOUGH = 0.8
@@ -59,16 +58,15 @@ def trust(pose: ArticulatedPose) -> float:
     return float(np.mean(known)) if 2 * len(known) >= len(pose.parts) and known else 0.0
 
 
-def observation(frame: RgbdFrame, sample: RegionSample, output: NetworkOutput, pose: ArticulatedPose) -> Observation:
-    """What a track remembers of a pose and the points it was made of."""
-    points, colors = answered_points(sample, output), _colors(frame, sample)
-    surfaces, background = surfaces_of(pose, points, colors, members_of(output, sample.num_distinct))
+def observation(frame: RgbdFrame, labelled: LabelledPoints, pose: ArticulatedPose) -> Observation:
+    """What a track remembers of a pose and the points it was made of, both with the same names."""
+    surfaces, background = surfaces_of(pose, labelled, _colors(frame, labelled.pixels))
     return Observation(pose, surfaces, background)
 
 
-def _colors(frame: RgbdFrame, sample: RegionSample) -> NDArray[np.uint8]:
-    """(N,3) RGB of the sample's points."""
-    return frame.color.reshape(-1, 3)[sample.source_index]
+def _colors(frame: RgbdFrame, pixels: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(N,3) RGB of the frame's pixels (N,), counted row by row."""
+    return frame.color.reshape(-1, 3)[pixels]
 
 
 def advanced(
@@ -79,26 +77,26 @@ def advanced(
     prior, watch = prior_of(track, frame.camera, time_s), Stopwatch()
     region = expected_region(prior, network.metadata.category, frame.camera)
     if region is None:
-        return _missed(track, (0, 0, 0, 0), "it is expected outside the picture")
+        return missed(track, (0, 0, 0, 0), "it is expected outside the picture")
     sample = sample_for(network.metadata, frame, region, depth_m=prior.depth_m)
     watch.stage("sampling")
     if isinstance(sample, str):
-        return _missed(track, region, sample)
+        return missed(track, region, sample)
     due = time_s - track.checked_s >= CHECK_S or track.missed > 0 or track.doubts > 0
     if track.fits < FITS_BETWEEN and track.steady and not due:
-        fitted = fit_near(network.metadata.category, sample, _colors(frame, sample), prior, watch)
+        fitted = fit_near(network.metadata.category, sample, _colors(frame, sample.source_index), prior, watch)
         if not isinstance(fitted, str):
             return Advanced(with_fit(track, fitted, frame.camera, time_s), fitted.pose, region)
     seen = _look(network, track, frame, time_s, region, sample, prior, watch)
     if due and deadline.allows(search_s):
         return _checked(seen)
     near = seen.near()
-    if trust(near) >= KEEP_TRUST:
+    if trust(near.pose) >= KEEP_TRUST and seen.may_be(near):
         kept = seen.kept(near, searched=False)
         again = _where_it_is(seen, kept) if deadline.allows(search_s) else None
         return kept if again is None else again
     if not deadline.allows(search_s):
-        return _missed(track, region, "the track is in doubt, and there was no time for a full search", network=True)
+        return missed(track, region, "the track is in doubt, and there was no time for a full search", network=True)
     return _checked(seen, near)
 
 
@@ -115,7 +113,7 @@ def _where_it_is(seen: _Seen, kept: Advanced) -> Advanced | None:
         return None
     again = _look(seen.network, seen.track, seen.frame, seen.time_s, region, sample, prior, seen.watch)
     near = again.near()
-    return again.kept(near, searched=False) if trust(near) >= KEEP_TRUST else None
+    return again.kept(near, searched=False) if trust(near.pose) >= KEEP_TRUST else None
 
 
 def _look(
@@ -134,6 +132,14 @@ def _look(
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Answer:
+    """A pose, and the points it was made of under the same names."""
+
+    pose: ArticulatedPose
+    labelled: LabelledPoints
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Seen:
     """A track, and the network's answer for the frame after it."""
 
@@ -147,45 +153,64 @@ class _Seen:
     prior: Prior
     watch: Stopwatch
 
-    def near(self) -> ArticulatedPose:
-        return pose_near(self.network.metadata, self.sample, self.output, self.prior, self.watch)
+    def near(self) -> _Answer:
+        """From the expected pose, in the names that the network has for the parts in this frame."""
+        labelled = labelled_points(self.sample, self.output)
+        prior = prior_as_named(self.network.metadata.category, self.prior, labelled)
+        pose = pose_near(self.network.metadata, self.sample, self.output, prior, self.watch)
+        return self._in_the_tracks_names(pose, labelled)
 
-    def full(self) -> ArticulatedPose:
-        return pose_from_output(self.network.metadata, self.sample, self.output, self.watch)
+    def full(self) -> _Answer:
+        """By a search of all votes."""
+        pose = pose_from_output(self.network.metadata, self.sample, self.output, self.watch)
+        return self._in_the_tracks_names(pose, labelled_points(self.sample, self.output))
 
-    def kept(self, pose: ArticulatedPose, *, searched: bool) -> Advanced:
+    def _in_the_tracks_names(self, pose: ArticulatedPose, labelled: LabelledPoints) -> _Answer:
+        # Filtered under names that change, a pose would leap half a turn.
+        category = self.network.metadata.category
+        renaming = nearest_renaming(category, poses_of(pose), self.prior.poses)
+        return _Answer(renamed_pose(category, pose, renaming), labelled.in_order(renaming.order))
+
+    def may_be(self, answer: _Answer) -> bool:
+        """Whether this is the track's object; that of one that was there in the last frame is not asked for."""
+        category, camera = self.network.metadata.category, self.frame.camera
+        return not self.track.missed or matched(self.track, category, answer.pose, camera, self.time_s) is not None
+
+    def kept(self, answer: _Answer, *, searched: bool) -> Advanced:
         """The track goes on with this pose."""
-        observed = observation(self.frame, self.sample, self.output, pose)
+        observed = observation(self.frame, answer.labelled, answer.pose)
         track = with_observation(self.track, observed, self.frame.camera, self.time_s)
-        return Advanced(track, pose, self.region, searched, network=True)
+        return Advanced(track, answer.pose, self.region, searched, network=True)
 
-    def restarted(self, pose: ArticulatedPose) -> Advanced:
+    def restarted(self, answer: _Answer) -> Advanced:
         """The object is elsewhere: what was known of its motion is forgotten."""
-        observed = observation(self.frame, self.sample, self.output, pose)
+        observed = observation(self.frame, answer.labelled, answer.pose)
         category = self.network.metadata.category
         track = begun(self.track.number, category, observed, self.frame.camera, self.time_s)
-        return Advanced(track, pose, self.region, searched=True, network=True)
+        return Advanced(track, answer.pose, self.region, searched=True, network=True)
 
 
-def _checked(seen: _Seen, near: ArticulatedPose | None = None) -> Advanced:
+def _checked(seen: _Seen, near: _Answer | None = None) -> Advanced:
     """By a full search; near: from the expected pose, where that was tried before."""
     track, full = seen.track, seen.full()
     expected = [None if part is None else _as_pose(part.last, part.evidence.T_camera_part) for part in seen.prior.parts]
-    same = agreement(full.parts, expected, rotation_rad=SAME_ROTATION_RAD, share=SAME_SHARE)
-    if trust(full) >= KEEP_TRUST and same:
+    same = agreement(full.pose.parts, expected, rotation_rad=SAME_ROTATION_RAD, share=SAME_SHARE)
+    if trust(full.pose) >= START_TRUST and not seen.may_be(full):
+        return missed(track, seen.region, "another object is where it may be", network=True)
+    if trust(full.pose) >= KEEP_TRUST and same:
         found = seen.kept(full, searched=True)
         return replace(found, track=replace(found.track, checked_s=seen.time_s, doubts=0))
-    if trust(full) >= START_TRUST and track.missed:
+    if trust(full.pose) >= START_TRUST and track.missed:
         # Nothing is known of where it went meanwhile.
         return seen.restarted(full)
     near = near or seen.near()
-    surer = trust(full) > max(trust(near), KEEP_TRUST)
+    surer = trust(full.pose) > max(trust(near.pose), KEEP_TRUST)
     if surer and track.doubts + 1 >= _DOUBTS:
         return seen.restarted(full)
     doubts = track.doubts + 1 if surer else 0
-    if trust(near) < KEEP_TRUST:
-        missed = _missed(track, seen.region, "the network does not recognise it here", network=True)
-        return replace(missed, track=replace(missed.track, doubts=doubts))
+    if trust(near.pose) < KEEP_TRUST:
+        absent = missed(track, seen.region, "the network does not recognise it here", network=True)
+        return replace(absent, track=replace(absent.track, doubts=doubts))
     found = seen.kept(near, searched=False)
     return replace(found, track=replace(found.track, checked_s=seen.time_s, doubts=doubts))
 
@@ -194,5 +219,6 @@ def _as_pose(last: PartPose, T_camera_part: Array) -> PartPose:
     return replace(last, T_camera_part=T_camera_part)
 
 
-def _missed(track: Track, region: Region, reason: str, *, network: bool = False) -> Advanced:
+def missed(track: Track, region: Region, reason: str, *, network: bool = False) -> Advanced:
+    """The track after a frame in which its object was not seen, and why."""
     return Advanced(replace(track, missed=track.missed + 1), None, region, network=network, reason=reason)

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
-from page_runtime.estimator import MAX_LOOKS, estimate, examine
+import numpy as np
+
+from page_runtime.equivalents import renamed_pose
+from page_runtime.estimator import examine
 from page_runtime.frame import RgbdFrame
-from page_runtime.live.advance import SAME_ROTATION_RAD, START_TRUST, Advanced, advanced, observation, trust
+from page_runtime.live.advance import START_TRUST, Advanced, advanced, missed, observation, trust
 from page_runtime.live.deadline import Deadline
+from page_runtime.live.faults import FrameFault, attempt
+from page_runtime.live.identity import Match, matched, twins
 from page_runtime.live.locate import Locator, overlap
 from page_runtime.live.loop import Followed
-from page_runtime.live.near import agreement
 from page_runtime.live.prior import expected_region
 from page_runtime.live.result import LiveObject, LiveState
-from page_runtime.live.track import Observation, Track, begun, filtered_pose, joint_rates, prior_of
+from page_runtime.live.track import Track, begun, filtered_pose, joint_rates, prior_of
 from page_runtime.network import Network
-from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
+from page_runtime.part_poses import LabelledPoints
+from page_runtime.pose import ArticulatedPose, NotSeen
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import Region
+from page_runtime.stopwatch import add_stages
 
 # Without the object for so long a track is lost, and the object looked for everywhere; then it is forgotten.
 LOST_S = 0.4
@@ -30,8 +35,6 @@ LOOK_AROUND_S = 1.0
 PERIOD_S = 1 / 30
 # A region of which so much is in a followed object's is about that object.
 _SAME_PLACE = 0.5
-# Two tracks nearer to each other than this share of a part's diagonal follow one object; stacked things are farther.
-_SAME_BODY = 0.03
 _COST_MEMORY = 0.8
 # In a second: a search that once took long is not put off for ever, or a wrong pose would never be checked.
 _COST_FADES = 0.95
@@ -65,20 +68,33 @@ class Tracking:
         self._turn = 0
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
-        """Every followed object in this frame, and those found in it."""
+        """Every followed object in this frame, and those found in it.
+
+        What is raised while one of them is worked on costs that one: as long as it goes on it is not seen, then it is
+        lost, and a new search begins without what the track knew.
+        """
+        before = list(self._tracks), list(self._lost)
+        try:
+            return self._followed(recorded, deadline)
+        except BaseException:
+            self._tracks, self._lost = before
+            raise
+
+    def _followed(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
         frame, time_s = recorded.frame, self._clock(recorded.frame)
         stage_ms: dict[str, float] = {}
         objects: list[LiveObject] = []
         reasons: list[str] = []
+        faults: list[FrameFault] = []
         searched = tracked = lost = 0
         for track, region in self._take_tracks():
             began = perf_counter()
-            step = advanced(self._network, track, frame, time_s, deadline, self._search_s)
+            step, found = self._step(track, region, frame, time_s, deadline, faults)
             if step.searched:
                 self._search_s = max(perf_counter() - began, self._search_s)
-            if step.pose is not None:
-                _add(stage_ms, step.pose)
-                objects.append(self._live_object(step, frame))
+            if found is not None:
+                add_stages(stage_ms, found.pose.stage_ms)
+                objects.append(found)
                 searched, tracked = searched + step.searched, tracked + (not step.searched)
                 self._tracks.append((step.track, step.region))
             elif time_s - step.track.time_s > LOST_S:
@@ -88,15 +104,15 @@ class Tracking:
             else:
                 reasons.append(f"object {track.number}: {step.reason}")
                 self._tracks.append((step.track, region))
-        twins = _twins(objects)
-        objects = [one for one in objects if one.number not in twins]
-        self._tracks = [own for own in self._tracks if own[0].number not in twins]
-        lost += len(twins)
+        doubles = twins(self._network.metadata.category, objects)
+        objects = [one for one in objects if one.number not in doubles]
+        self._tracks = [own for own in self._tracks if own[0].number not in doubles]
+        lost += len(doubles)
         self._lost = [one for one in self._lost if time_s - one.since_s <= FORGET_S]
         if self._wants_more(time_s):
-            found = self._search(recorded, time_s, deadline, stage_ms, reasons)
-            searched += len(found)
-            objects += found
+            more = self._search(recorded, time_s, deadline, stage_ms, reasons, faults)
+            searched += len(more)
+            objects += more
         return Followed(
             objects=tuple(sorted(objects, key=lambda one: one.number)),
             state=self._state(),
@@ -105,13 +121,37 @@ class Tracking:
             searched=searched,
             tracked=tracked,
             lost=lost,
+            faults=tuple(faults),
         )
+
+    def _step(
+        self,
+        track: Track,
+        region: Region,
+        frame: RgbdFrame,
+        time_s: float,
+        deadline: Deadline,
+        faults: list[FrameFault],
+    ) -> tuple[Advanced, LiveObject | None]:
+        """One track in this frame, and its object where that was seen."""
+
+        def stepped() -> tuple[Advanced, LiveObject | None]:
+            step = advanced(self._network, track, frame, time_s, deadline, self._search_s)
+            return step, None if step.pose is None else self._live_object(step, step.pose, frame)
+
+        found = attempt(stepped, frame=frame.index, subject=f"object {track.number}")
+        if isinstance(found, FrameFault):
+            faults.append(found)
+            return missed(track, region, found.reason), None
+        return found
 
     def _clock(self, frame: RgbdFrame) -> float:
         """The source's time, or a period more than the last where it has none or steps back, and from there at the
         source's pace."""
         now = frame.timestamp_s + self._shift_s
-        if self._time_s is not None and now <= self._time_s:
+        if not np.isfinite(now):
+            now = 0.0 if self._time_s is None else self._time_s + PERIOD_S
+        elif self._time_s is not None and now <= self._time_s:
             self._shift_s += self._time_s + PERIOD_S - now
             now = self._time_s + PERIOD_S
         if self._time_s is not None:
@@ -140,13 +180,19 @@ class Tracking:
         deadline: Deadline,
         stage_ms: dict[str, float],
         reasons: list[str],
+        faults: list[FrameFault],
     ) -> list[LiveObject]:
         """Objects that are not followed yet, where lost ones were and where the locator says, as time allows: one place
         in every frame at least, those left out first in the next."""
         self._looked_s = time_s
         frame = recorded.frame
         began = perf_counter()
-        places = [*self._locator.locate(recorded), *(one.region for one in self._lost)]
+        located = attempt(lambda: self._locator.locate(recorded), frame=frame.index, subject="where objects may be")
+        if isinstance(located, FrameFault):
+            faults.append(located)
+            reasons.append(located.reason)
+            located = ()
+        places = [*located, *(one.region for one in self._lost)]
         stage_ms["locating"] = 1e3 * (perf_counter() - began)
         free = [place for place in places if not self._occupied(place)]
         if not free:
@@ -161,17 +207,30 @@ class Tracking:
             if self._occupied(place):
                 continue
             began = perf_counter()
-            found = examine(self._network, frame, place, max_looks=self._max_looks)
+            found = attempt(
+                lambda place=place: self._found_at(place, frame, time_s, stage_ms),
+                frame=frame.index,
+                subject=f"the place {','.join(map(str, place))}",
+            )
             self._search_s = max(perf_counter() - began, _COST_MEMORY * self._search_s)
-            _add(stage_ms, found.pose)
-            if found.sample is None or found.output is None or trust(found.pose) < START_TRUST:
-                reasons.append(_refused(found.pose))
+            if isinstance(found, LiveObject):
+                objects.append(found)
+                if self._full():
+                    break
                 continue
-            seen = observation(frame, found.sample, found.output, found.pose)
-            objects.append(self._begin(seen, place, frame, time_s))
-            if self._full():
-                break
+            if isinstance(found, FrameFault):
+                faults.append(found)
+                found = found.reason
+            reasons.append(found)
         return objects
+
+    def _found_at(self, place: Region, frame: RgbdFrame, time_s: float, stage_ms: dict[str, float]) -> LiveObject | str:
+        """The object at a place, followed from now on, or why there is none."""
+        found = examine(self._network, frame, place, max_looks=self._max_looks)
+        add_stages(stage_ms, found.pose.stage_ms)
+        if found.labelled is None or trust(found.pose) < START_TRUST:
+            return _refused(found.pose)
+        return self._begin(found.pose, found.labelled, place, frame, time_s)
 
     def _full(self) -> bool:
         """Whether as many objects are seen as there can be."""
@@ -184,84 +243,37 @@ class Tracking:
     def _occupied(self, place: Region) -> bool:
         return any(overlap(place, region) > _SAME_PLACE for track, region in self._tracks if not track.missed)
 
-    def _begin(self, seen: Observation, region: Region, frame: RgbdFrame, time_s: float) -> LiveObject:
-        number, category = self._number_at(region), self._network.metadata.category
-        track = begun(number, category, seen, frame.camera, time_s)
+    def _begin(
+        self, pose: ArticulatedPose, labelled: LabelledPoints, region: Region, frame: RgbdFrame, time_s: float
+    ) -> LiveObject:
+        """A track of what was found: that of the missing object it is, whose old one ends here, or a new one."""
+        category, again = self._network.metadata.category, self._missing_one(pose, frame, time_s)
+        number = self._next_number if again is None else again[0]
+        if again is not None:
+            renaming = again[1].renaming
+            pose, labelled = renamed_pose(category, pose, renaming), labelled.in_order(renaming.order)
+        track = begun(number, category, observation(frame, labelled, pose), frame.camera, time_s)
         own = expected_region(prior_of(track, frame.camera, time_s), category, frame.camera) or region
-        self._tracks.append((track, own))
-        return LiveObject(number, region, seen.pose, tracked=False, joint_rates=joint_rates(track))
-
-    def _number_at(self, region: Region) -> int:
-        """Of the missing object that was nearest to `region`, whose old track ends here, or a new one."""
-        missing = self._missing()
-        if not missing:
-            self._next_number += 1
-            return self._next_number - 1
-        number = min(missing, key=lambda own: _away(own[1], region))[0].number
+        self._next_number += again is None
         self._lost = [one for one in self._lost if one.track.number != number]
-        self._tracks = [own for own in self._tracks if own[0].number != number]
-        return number
+        self._tracks = [one for one in self._tracks if one[0].number != number] + [(track, own)]
+        return LiveObject(number, region, pose, tracked=False, joint_rates=joint_rates(track))
 
-    def _live_object(self, step: Advanced, frame: RgbdFrame) -> LiveObject:
-        assert step.pose is not None
-        pose = filtered_pose(step.track, self._network.metadata.category, step.pose, frame.camera)
+    def _missing_one(self, pose: ArticulatedPose, frame: RgbdFrame, time_s: float) -> tuple[int, Match] | None:
+        """The number of the missing object that this is, the nearest of those it may be."""
+        category = self._network.metadata.category
+        matches = [
+            (track.number, match)
+            for track, _ in self._missing()
+            if (match := matched(track, category, pose, frame.camera, time_s)) is not None
+        ]
+        return min(matches, key=lambda one: one[1].distance_m, default=None)
+
+    def _live_object(self, step: Advanced, found: ArticulatedPose, frame: RgbdFrame) -> LiveObject:
+        pose = filtered_pose(step.track, self._network.metadata.category, found, frame.camera)
         return LiveObject(
             step.track.number, step.region, pose, tracked=not step.searched, joint_rates=joint_rates(step.track)
         )
-
-
-class EachByItself:
-    """Finds the objects of every frame as if it were the only one: `estimator.estimate` wherever `locator` says.
-
-    Everything is reported, however unlikely; objects are numbered in the locator's order. Nothing is left out for a
-    deadline, only for the end of the loop.
-    """
-
-    def __init__(self, network: Network, locator: Locator, *, max_looks: int = MAX_LOOKS) -> None:
-        self._network, self._locator, self._max_looks = network, locator, max_looks
-
-    def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed:
-        """All objects of this frame."""
-        stage_ms: dict[str, float] = {}
-        began = perf_counter()
-        places: Sequence[Region] = self._locator.locate(recorded)
-        stage_ms["locating"] = 1e3 * (perf_counter() - began)
-        objects = []
-        for number, place in enumerate(places):
-            if number and deadline.stopping():
-                break
-            pose = estimate(self._network, recorded.frame, place, max_looks=self._max_looks)
-            _add(stage_ms, pose)
-            objects.append(LiveObject(number, place, pose, tracked=False))
-        reason = "" if objects else "nothing says where an object is in this frame"
-        return Followed(tuple(objects), "searching", stage_ms, reason, searched=len(objects))
-
-
-def _twins(objects: Sequence[LiveObject]) -> set[int]:
-    """Numbers of tracks that have come to follow the object of an older one: two bodies are not in one place."""
-    kept: list[LiveObject] = []
-    twins: set[int] = set()
-    for one in sorted(objects, key=lambda found: found.number):
-        if any(_same_body(one.pose, other.pose) for other in kept):
-            twins.add(one.number)
-        else:
-            kept.append(one)
-    return twins
-
-
-def _same_body(one: ArticulatedPose, other: ArticulatedPose) -> bool:
-    both = any(isinstance(a, PartPose) and isinstance(b, PartPose) for a, b in zip(one.parts, other.parts, strict=True))
-    return both and agreement(one.parts, other.parts, rotation_rad=SAME_ROTATION_RAD, share=_SAME_BODY)
-
-
-def _away(one: Region, other: Region) -> float:
-    """Squared distance of two regions' middles, px^2."""
-    return (one[0] + one[2] / 2 - other[0] - other[2] / 2) ** 2 + (one[1] + one[3] / 2 - other[1] - other[3] / 2) ** 2
-
-
-def _add(stage_ms: dict[str, float], pose: ArticulatedPose) -> None:
-    for name, value in pose.stage_ms.items():
-        stage_ms[name] = stage_ms.get(name, 0.0) + value
 
 
 def _refused(pose: ArticulatedPose) -> str:

@@ -21,16 +21,23 @@ class Locator(Protocol):
     def locate(self, recorded: RecordedFrame) -> Sequence[Region]: ...
 
 
+class RegionError(ValueError):
+    """The region that was asked for is not in the source's pictures."""
+
+
 @dataclass(frozen=True, slots=True)
 class FixedRegion:
-    """One object that is first seen in `region`, whatever frame that is. locate: ValueError where it lies outside."""
+    """One object that is first seen in `region`, whatever frame that is. locate: RegionError where it lies outside."""
 
     region: Region
     most: int | None = 1
 
     def locate(self, recorded: RecordedFrame) -> Sequence[Region]:
         camera = recorded.frame.camera
-        return (check_region(self.region, camera.width, camera.height),)
+        try:
+            return (check_region(self.region, camera.width, camera.height),)
+        except ValueError as error:
+            raise RegionError(str(error)) from error
 
 
 @dataclass(frozen=True, slots=True)

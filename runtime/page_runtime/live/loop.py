@@ -14,18 +14,20 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from page_runtime.live.deadline import Deadline
+from page_runtime.live.faults import MOST_FAILING, FrameFault, FramesFailing, attempt
 from page_runtime.live.result import LiveObject, LiveResult, LiveState, LoopCounts
 from page_runtime.live.slot import FrameSlot, Received
+from page_runtime.pose import PartPose
 from page_runtime.recorded import RecordedFrame
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Followed:
     """What became of the objects in one frame. reason: why there is none. searched, tracked, lost: as in `LoopCounts`,
-    of this frame."""
+    of this frame. faults: what was raised on the way."""
 
     objects: tuple[LiveObject, ...]
     state: LiveState
@@ -34,10 +36,12 @@ class Followed:
     searched: int = 0
     tracked: int = 0
     lost: int = 0
+    faults: tuple[FrameFault, ...] = ()
 
 
 class Follower(Protocol):
-    """Whoever finds the objects of one frame after the other, and remembers them."""
+    """Whoever finds the objects of one frame after the other, and remembers them. What `follow` raises costs the frame:
+    it must leave the follower fit for the next one."""
 
     def follow(self, recorded: RecordedFrame, deadline: Deadline) -> Followed: ...
 
@@ -46,8 +50,12 @@ class LiveLoop:
     """Results of `follower` for the frames of `source`, as they come: an iterator, to be closed (or used in `with`).
 
     deadline_s: from the moment a frame was received; work that would not be done by then is left out where that is
-    possible, and a result after it is `late`. Iterating ends with the source or with `stop`; it raises what the source
-    raises (SourceError) and ValueError for a frame that cannot be used with these settings.
+    possible, and a result after it is `late`. on_event: called in the iterating thread with the first `FrameFault` of
+    each kind; the frame has a result that says so, and `LoopCounts.failed` counts it.
+
+    Iterating ends with the source or with `stop`. It raises what the source raises (SourceError); RegionError and other
+    errors in what was asked for; and FramesFailing after MOST_FAILING frames in a row, or all there were, from which
+    nothing came but faults.
     """
 
     def __init__(
@@ -57,10 +65,16 @@ class LiveLoop:
         *,
         deadline_s: float | None = None,
         name: str = "source",
+        on_event: Callable[[FrameFault], None] = lambda _: None,
     ) -> None:
         if deadline_s is not None and not deadline_s > 0.0:
             raise ValueError(f"deadline_s: expected seconds > 0 or None, got {deadline_s}; None is no deadline")
         self._follower, self._deadline_s = follower, deadline_s
+        self._on_event, self._told = on_event, set[tuple[str, str]]()
+        # Of frames in a row; and the last of their faults, as each holds what its frame was worked on with.
+        self._failing = 0
+        self._last_fault: FrameFault | None = None
+        self._state: LiveState = "searching"
         self._stopping = False
         self._slot = FrameSlot(source, name=name)
 
@@ -68,9 +82,13 @@ class LiveLoop:
         return self
 
     def __next__(self) -> LiveResult:
+        if self._failing >= MOST_FAILING:
+            self._give_up(f"{MOST_FAILING} frames in a row")
         received = self._slot.take()
         if received is None:
             self.close()
+            if self._failing and not self._stopping and self._failing == self.counts.processed:
+                self._give_up("all frames there were")
             raise StopIteration
         return self._result(received)
 
@@ -112,14 +130,22 @@ class LiveLoop:
     def _result(self, received: Received) -> LiveResult:
         at_s = None if self._deadline_s is None else received.received_s + self._deadline_s
         deadline = Deadline(at_s, lambda: self.stopping)
-        followed = self._follower.follow(received.recorded, deadline)
+        recorded = received.recorded
+        followed = attempt(lambda: self._follower.follow(recorded, deadline), frame=recorded.frame.index)
+        if isinstance(followed, FrameFault):
+            followed = Followed((), self._state, reason=followed.reason, faults=(followed,))
+        self._note(followed)
         late = deadline.passed
         latency_ms = 1e3 * (time.monotonic() - received.received_s)
         counts = self._slot.answered(
-            late=late, searched=followed.searched, tracked=followed.tracked, lost=followed.lost
+            late=late,
+            searched=followed.searched,
+            tracked=followed.tracked,
+            lost=followed.lost,
+            failed=bool(followed.faults),
         )
         return LiveResult(
-            frame=received.recorded.frame,
+            frame=recorded.frame,
             objects=followed.objects,
             state=followed.state,
             counts=counts,
@@ -128,3 +154,21 @@ class LiveLoop:
             late=late,
             reason=followed.reason,
         )
+
+    def _note(self, followed: Followed) -> None:
+        self._state = followed.state
+        poses = [part for found in followed.objects for part in found.pose.parts if isinstance(part, PartPose)]
+        if not followed.faults or poses:
+            self._failing, self._last_fault = 0, None
+        else:
+            self._failing, self._last_fault = self._failing + 1, followed.faults[-1]
+        for fault in followed.faults:
+            if fault.kind not in self._told:
+                self._told.add(fault.kind)
+                self._on_event(fault)
+
+    def _give_up(self, how_many: str) -> NoReturn:
+        self.close()
+        last = self._last_fault
+        assert last is not None
+        raise FramesFailing(f"{how_many} failed, the last one by {last.reason}") from last.error

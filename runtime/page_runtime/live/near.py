@@ -49,7 +49,10 @@ _OTHER_COLOR = 50
 _MOST_REPAINTED = 0.3
 # Of the points that a part had when the network last saw it: with fewer something is before it, or it has turned away.
 _LEAST_SHARE = 0.4
+# A part of fewer points is too small to be fitted: where most others are, it goes as its motion and its joints say.
 _LEAST_POINTS = 24
+# A part that has so many may be fitted or not, as its points lie: without a fit it is one of those.
+_SURE_POINTS = 60
 
 
 def pose_near(
@@ -120,6 +123,7 @@ def fit_near(
     if doubt:
         return doubt
     evidence: list[PartEvidence | None] = []
+    carried = 0
     for part, own, spec in zip(prior.parts, members, category.parts, strict=True):
         if part is None:
             evidence.append(None)
@@ -128,7 +132,10 @@ def fit_near(
         watch.stage("icp")
         if isinstance(found, str):
             return f"{spec.name}: {found}"
-        evidence.append(found)
+        evidence.append(part.evidence if found is None else found)
+        carried += found is None
+    if 2 * carried >= len(prior.known):
+        return f"{carried} of its parts have too few points"
     articulation = articulate(category, evidence)
     parts = tuple(
         NotSeen(spec.name, "not seen: it was not when the network last looked")
@@ -171,10 +178,14 @@ def _members(
 
 def _fitted(
     part: PartPrior, points_camera: NDArray[np.float32], spec: Part, share_of_sample: float
-) -> PartEvidence | str:
-    needed = max(_LEAST_POINTS, round(_LEAST_SHARE * share_of_sample * len(part.surface)))
+) -> PartEvidence | str | None:
+    """The part by its points; what speaks against that, or None where they are too few to say anything."""
+    expected = round(share_of_sample * len(part.surface))
+    needed = max(1, round(_LEAST_SHARE * expected))
     if len(points_camera) < needed:
         return f"{len(points_camera)} points are near it, {needed} are needed"
+    if len(points_camera) < _LEAST_POINTS:
+        return None
     if spec.template is None:
         return "there is no template to fit"
     evidence = part.evidence
@@ -189,7 +200,7 @@ def _fitted(
     )
     no_better = fit.residual_after_m >= fit.residual_before_m
     if not fit.accepted and not (no_better and fit.residual_before_m <= fit_limit_m(evidence.scale_m)):
-        return fit.reason
+        return fit.reason if expected >= _SURE_POINTS else None
     covariance = evidence.covariance.copy()
     covariance[:6, :6] = fit.covariance
     return replace(evidence, T_camera_part=fit.T_camera_part, covariance=covariance)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,10 @@ from numpy.typing import NDArray
 from page_runtime.articulation import PartEvidence
 from page_runtime.camera import Camera
 from page_runtime.category import Category
-from page_runtime.geometry import apply, invert
+from page_runtime.equivalents import Renaming, interchanged, turned_extents, turned_part
+from page_runtime.geometry import Array, apply, invert, transform_from
+from page_runtime.neighbours import nearest
+from page_runtime.part_poses import LabelledPoints
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.sampling import Region
 
@@ -56,6 +58,11 @@ class Prior:
     background_camera: NDArray[np.float32]
 
     @property
+    def poses(self) -> list[Array | None]:
+        """(4,4) T_camera_part of each part as it is expected, None for one that was not seen."""
+        return [None if part is None else part.evidence.T_camera_part for part in self.parts]
+
+    @property
     def known(self) -> list[PartPrior]:
         return [part for part in self.parts if part is not None]
 
@@ -93,19 +100,57 @@ def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floa
     return apply(evidence.T_camera_part, evidence.scale_m * unit)
 
 
+def prior_as_named(category: Category, prior: Prior, labelled: LabelledPoints) -> Prior:
+    """`prior` in the words of `labelled`: where the category's parts may take each other's place, that one of the two
+    descriptions by which more of the points lie on the surface of the part they are said to be of."""
+    if category.interchange is None:
+        return prior
+    renaming = interchanged(category)
+    owner = _owners(prior, labelled.points_camera)
+    own, other = (
+        sum(int(np.count_nonzero(owner[rows] == k)) for k, rows in zip(order, labelled.members, strict=True))
+        for order in (range(len(prior.parts)), renaming.order)
+    )
+    return _renamed(prior, category, renaming) if other > own else prior
+
+
+def _owners(prior: Prior, points_camera: NDArray[np.float32]) -> NDArray[np.intp]:
+    """(N,) of each point the part whose expected surface is nearest."""
+    placed = [np.empty((0, 3), np.float32) if part is None else part.surface_camera for part in prior.parts]
+    surface, owner = np.concatenate(placed), np.repeat(np.arange(len(placed)), [len(points) for points in placed])
+    if not len(surface):
+        return np.full(len(points_camera), -1)
+    middle = surface.mean(axis=0)
+    return owner[nearest(points_camera - middle, surface - middle, 1)[:, 0]]
+
+
+def _renamed(prior: Prior, category: Category, renaming: Renaming) -> Prior:
+    parts: list[PartPrior | None] = []
+    for spec, other, turn in zip(category.parts, renaming.order, renaming.turns, strict=True):
+        part = prior.parts[other]
+        if part is None:
+            parts.append(None)
+            continue
+        evidence = replace(
+            part.evidence,
+            T_camera_part=part.evidence.T_camera_part @ transform_from(turn, np.zeros(3)),
+            extents_unit=turned_extents(part.evidence.extents_unit, turn),
+        )
+        surface = replace(part.surface, points=(part.surface.points @ turn).astype(np.float32))
+        parts.append(PartPrior(evidence, turned_part(part.last, spec, turn), surface))
+    return replace(prior, parts=tuple(parts))
+
+
 def surfaces_of(
-    pose: ArticulatedPose,
-    points_camera: NDArray[np.float32],
-    colors: NDArray[np.uint8],
-    members: Sequence[NDArray[np.intp]],
+    pose: ArticulatedPose, labelled: LabelledPoints, colors: NDArray[np.uint8]
 ) -> tuple[list[Surface | None], NDArray[np.float32]]:
-    """The surface of every part that has a pose, and the points (m,3) m that are of none. members: each part's rows of
-    points_camera (N,3) m and colors (N,3)."""
+    """The surface of every part that has a pose, and the points (m,3) m that are of none. colors: (N,3) of the labelled
+    points."""
     surfaces: list[Surface | None] = []
-    for part, own in zip(pose.parts, members, strict=True):
+    for part, own in zip(pose.parts, labelled.members, strict=True):
         if isinstance(part, PartPose):
-            points = apply(invert(part.T_camera_part), points_camera[own])
+            points = apply(invert(part.T_camera_part), labelled.points_camera[own])
             surfaces.append(Surface(points.astype(np.float32), colors[own]))
         else:
             surfaces.append(None)
-    return surfaces, np.delete(points_camera, np.concatenate(members), axis=0)
+    return surfaces, np.delete(labelled.points_camera, np.concatenate(labelled.members), axis=0)

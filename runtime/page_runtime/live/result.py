@@ -20,7 +20,8 @@ class LoopCounts:
 
     received: frames the source gave. processed: those a result was made of. dropped: those passed over for newer ones.
     waiting: taken and not yet answered. late: results after the frame's deadline. searched, tracked: objects found by a
-    full search and from their last pose. lost: times an object that was followed was not found any more.
+    full search and from their last pose. lost: times an object that was followed was not found any more. failed: frames
+    in which something unforeseen was raised (`faults`), processed like the others.
     """
 
     received: int = 0
@@ -31,6 +32,7 @@ class LoopCounts:
     searched: int = 0
     tracked: int = 0
     lost: int = 0
+    failed: int = 0
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -63,7 +63,7 @@ class FrameSlot:
                 raise self._error
             return None
 
-    def answered(self, *, late: bool, searched: int, tracked: int, lost: int) -> LoopCounts:
+    def answered(self, *, late: bool, searched: int, tracked: int, lost: int, failed: bool = False) -> LoopCounts:
         """Count the frame that was taken as processed; the counters after that."""
         with self._changed:
             self._taken = False
@@ -74,6 +74,7 @@ class FrameSlot:
                 searched=self._counts.searched + searched,
                 tracked=self._counts.tracked + tracked,
                 lost=self._counts.lost + lost,
+                failed=self._counts.failed + failed,
             )
             return self._with_waiting()
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from page_runtime.live.clusters import Clusters
+from page_runtime.live.faults import FrameFault
 from page_runtime.live.following import Tracking
 from page_runtime.live.locate import FixedRegion, Locator, OwnRegions
 from page_runtime.live.loop import LiveLoop
@@ -21,6 +22,7 @@ def live_results(
     objects: int | None = None,
     deadline_s: float | None = None,
     max_looks: int = 1,
+    on_event: Callable[[FrameFault], None] = lambda _: None,
 ) -> LiveLoop:
     """Find the objects of `network`'s category in the frames of `source` and follow them: a result for each frame.
 
@@ -33,7 +35,7 @@ def live_results(
     counted as dropped; or a recording, every frame of which is. where: the region (x,y,w,h) px in which the one object
     is first seen, or a `Locator` (`Clusters`, `Detector`, `MaskFolder`); by default the source's own regions where it
     has some, else `Clusters`: whatever stands out of table and walls. objects: at most so many at a time. deadline_s,
-    and what iterating raises: `LiveLoop`. max_looks: at a frame in a full search, as in `estimate`.
+    on_event, and what iterating raises: `LiveLoop`. max_looks: at a frame in a full search, as in `estimate`.
     """
     if max_looks < 1:
         raise ValueError(f"max_looks: expected at least 1, got {max_looks}")
@@ -42,7 +44,7 @@ def live_results(
     locator = locator_of(where, source, network)
     name = str(source.path) if isinstance(source, Source) else str(getattr(source, "name", "source"))
     tracking = Tracking(network, locator, max_looks=max_looks, most=objects)
-    return LiveLoop(source, tracking, deadline_s=deadline_s, name=name)
+    return LiveLoop(source, tracking, deadline_s=deadline_s, name=name, on_event=on_event)
 
 
 def locator_of(where: Region | Locator | None, source: Iterable[RecordedFrame], network: Network) -> Locator:

@@ -61,7 +61,7 @@ class Track:
     """One object. number: its own, never given twice. parts, joints: in the category's order. background_world: (m,3)
     m. time_s: of its last frame. fits: frames by depth alone since the network's last. checked_s: when a full search
     last agreed. missed: frames in a row without it. doubts: full searches in a row that found it otherwise. steady:
-    whether it moved as foreseen when the network last saw it."""
+    whether most of its parts moved as foreseen when the network last saw it."""
 
     number: int
     parts: tuple[TrackedPart | None, ...]
@@ -102,13 +102,16 @@ def with_observation(track: Track, observed: Observation, camera: Camera, time_s
         _observed(before, part, surface, T_world_camera, time_s)
         for before, part, surface in zip(track.parts, observed.pose.parts, observed.surfaces, strict=True)
     )
+    strayed = [
+        _strayed(before, part, T_world_camera, time_s)
+        for before, part in zip(track.parts, observed.pose.parts, strict=True)
+        if isinstance(part, PartPose)
+    ]
     return replace(
         track,
         parts=parts,
-        steady=not any(
-            _strayed(before, part, T_world_camera, time_s)
-            for before, part in zip(track.parts, observed.pose.parts, strict=True)
-        ),
+        # One part of many that was seen wrong is held by the others.
+        steady=2 * sum(strayed) < max(len(strayed), 1),
         joints=_joints(track, observed.pose.joints, time_s),
         background_world=apply(T_world_camera, observed.background_camera).astype(np.float32),
         time_s=time_s,
@@ -178,9 +181,9 @@ def _observed(
     return TrackedPart(motions.measured(now, T_world_part, covariance), extents_m, count, part, surface, time_s)
 
 
-def _strayed(before: TrackedPart | None, part: PartPose | NotSeen, T_world_camera: Array, time_s: float) -> bool:
+def _strayed(before: TrackedPart | None, part: PartPose, T_world_camera: Array, time_s: float) -> bool:
     """Whether a part is so far from where it was foreseen that depth alone would not have found it."""
-    if before is None or isinstance(part, NotSeen):
+    if before is None:
         return False
     now = motions.predicted(before.motion, max(time_s, before.motion.time_s))
     step = motions.step_between(now.T_a_part, T_world_camera @ part.T_camera_part)

@@ -12,9 +12,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from page_runtime.live.result import LiveResult
-from page_runtime.sinks.sink import Sink
+from page_runtime.sinks.sink import Sink, SinkOf
+
+Item = TypeVar("Item")
 
 # What only shows the present keeps the newest; what keeps a record rides out a second's pause of the disk. A waiting
 # result holds its frame: 32 of 640 x 480 are 67 MB.
@@ -44,20 +47,20 @@ class SinkCounts:
 
 
 @dataclass(eq=False, slots=True)
-class QueuedSink:
-    """A sink behind a queue of `capacity` results. tell: is given a sentence at the first fault, and at the last of it.
+class QueuedSink(Generic[Item]):
+    """A sink behind a queue of `capacity` results, or whatever it takes. tell: is given a sentence at the first fault.
     waits: while it is true, `put` waits for room in a queue of more than one. reader_gone: called instead of `tell`
     when nobody reads a pipe any more.
 
     Otherwise `put` never waits for the sink. It runs from `start` to `finish`.
     """
 
-    sink: Sink
+    sink: SinkOf[Item]
     capacity: int = NEWEST
     tell: Callable[[str], None] = lambda _: None
     waits: Callable[[], bool] = lambda: False
     reader_gone: Callable[[], None] | None = None
-    _waiting: deque[LiveResult] = field(default_factory=deque)
+    _waiting: deque[Item] = field(default_factory=deque)
     _changed: threading.Condition = field(default_factory=threading.Condition)
     _thread: threading.Thread | None = None
     _deadline_s: float | None = None
@@ -93,7 +96,7 @@ class QueuedSink:
         self._thread = threading.Thread(target=self._run, name=f"sink {self.name}", daemon=True)
         self._thread.start()
 
-    def put(self, result: LiveResult) -> None:
+    def put(self, result: Item) -> None:
         """Queue one result, the oldest waiting one making room where there is none and it does not wait."""
         with self._changed:
             while len(self._waiting) == self.capacity > NEWEST and self._deadline_s is None and self.waits():
@@ -143,7 +146,7 @@ class QueuedSink:
         with self._changed:
             self._closed = True
 
-    def _next(self) -> LiveResult | None:
+    def _next(self) -> Item | None:
         with self._changed:
             while not self._waiting and self._deadline_s is None:
                 self._changed.wait()
