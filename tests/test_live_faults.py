@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import page_runtime.network as network_module
-from followed_boxes import ROOT, at, box_network, good_frames, only, region_of
+from followed_boxes import ROOT, at, box_network, good_frames, hidden, only, region_of
 from page_runtime import Network, RecordedFrame, live_results, open_source
 from page_runtime.bundle import BundleMetadata
 from page_runtime.cli import EXIT_FRAMES_FAILING, main
@@ -126,6 +126,23 @@ def test_a_frame_whose_region_lies_outside_it_costs_that_place_only(
     with LiveLoop(recording(strange), Tracking(network, OwnRegions())) as loop:
         assert [len(result.objects) for result in loop] == [1, 1]
     assert loop.counts.failed == 1
+
+
+def test_one_place_that_always_fails_beside_empty_ones_is_not_the_end(
+    network: Network, frames: list[RecordedFrame]
+) -> None:
+    places = (Instance((5000, 10, 20, 20)), Instance((100, 100, 80, 80)))
+    empty = [replace(hidden(frames[0], k), instances=places) for k in range(MOST_FAILING + 3)]
+    with LiveLoop(recording(empty), Tracking(network, OwnRegions())) as loop:
+        reasons = [result.reason for result in loop]
+    assert loop.counts.failed == len(reasons) == MOST_FAILING + 3
+    assert all("lies outside" in reason and "not seen" in reason for reason in reasons)
+    alone = [replace(one, instances=places[:1]) for one in empty]
+    with (
+        LiveLoop(recording(alone), Tracking(network, OwnRegions())) as loop,
+        pytest.raises(FramesFailing, match="lies outside"),
+    ):
+        list(loop)
 
 
 @dataclass(frozen=True)

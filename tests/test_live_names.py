@@ -22,10 +22,11 @@ from page_runtime.live import advance
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.following import Tracking
 from page_runtime.live.locate import OwnRegions
+from page_runtime.live.near import pose_near
 from page_runtime.live.prior import Prior, prior_as_named, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_observation
 from page_runtime.network import NetworkOutput
-from page_runtime.part_poses import LabelledPoints, labelled_points
+from page_runtime.part_poses import LabelledPoints, labelled_points, pose_from_output
 from page_runtime.pose import ArticulatedPose, JointState, PartPose
 from page_runtime.sampling import RegionSample
 from page_runtime.similarity import so3_exp
@@ -206,8 +207,8 @@ class OtherNames:
     """A network that calls each blade the other at random: what its answer is made into is renamed by hand."""
 
     def __init__(self, patch: pytest.MonkeyPatch, category: Category, swaps: Sequence[bool]) -> None:
-        self._category, self._swaps, self._count = category, list(swaps), 0
-        self._near, self._full = advance.pose_near, advance.pose_from_output
+        self._category, self._swaps, self.swap = category, list(swaps), False
+        self._near, self._full = pose_near, pose_from_output
         patch.setattr(advance, "labelled_points", self.labelled)
         patch.setattr(advance, "pose_near", self.near)
         patch.setattr(advance, "pose_from_output", self.full)

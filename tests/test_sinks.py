@@ -42,6 +42,7 @@ def test_a_line_holds_the_poses_as_run_writes_them_and_what_the_loop_adds(
         assert {name: as_run[name] for name in ("parts", "joints", "looks", "stage_ms")}.items() <= written.items()
     assert records[0]["counts"] == {
         "received": 1, "processed": 1, "dropped": 0, "waiting": 0, "late": 0, "searched": 1, "tracked": 0, "lost": 0,
+        "failed": 0,
     }  # fmt: skip
     with pytest.raises(FileExistsError):
         line_file(path)

@@ -19,6 +19,7 @@ from page_runtime import open_source
 from page_runtime.capture.supervision import SupervisedSource
 from page_runtime.cli import main
 from page_runtime.commands import sources, status_file
+from page_runtime.commands.outputs import write_json
 from page_runtime.live.loop import LiveLoop
 from page_runtime.sinks.queue import Sinks
 
@@ -113,12 +114,12 @@ def test_a_disk_that_hangs_under_the_status_holds_up_neither_the_loop_nor_its_en
 def test_a_status_says_what_became_of_the_ones_before_it_and_comes_back_when_there_is_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, count = status_file.write_json, itertools.count()
+    count = itertools.count()
 
     def full_at_first(path: Path, document: dict[str, Any]) -> None:
         if next(count) < 3:
             raise OSError(28, "No space left on device")
-        write(path, document)
+        write_json(path, document)
 
     monkeypatch.setattr(status_file, "write_json", full_at_first)
     told, path = list[str](), tmp_path / "s.json"

@@ -50,5 +50,11 @@ class EachByItself:
             objects.append(LiveObject(number, place, pose, tracked=False))
         reason = "" if objects else "nothing says where an object is in this frame"
         return Followed(
-            tuple(objects), "searching", stage_ms, reason, searched=len(objects) - len(faults), faults=tuple(faults)
+            tuple(objects),
+            "searching",
+            stage_ms,
+            reason,
+            searched=len(objects) - len(faults),
+            faults=tuple(faults),
+            failed=bool(faults) and len(faults) == len(objects),
         )

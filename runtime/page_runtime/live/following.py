@@ -122,6 +122,8 @@ class Tracking:
             tracked=tracked,
             lost=lost,
             faults=tuple(faults),
+            # Tracks that were worked on to their end, and places: those that are no object have a reason of their own.
+            failed=bool(faults) and not objects and len(reasons) == len(faults),
         )
 
     def _step(

@@ -20,14 +20,13 @@ from page_runtime.live.deadline import Deadline
 from page_runtime.live.faults import MOST_FAILING, FrameFault, FramesFailing, attempt
 from page_runtime.live.result import LiveObject, LiveResult, LiveState, LoopCounts
 from page_runtime.live.slot import FrameSlot, Received
-from page_runtime.pose import PartPose
 from page_runtime.recorded import RecordedFrame
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Followed:
     """What became of the objects in one frame. reason: why there is none. searched, tracked, lost: as in `LoopCounts`,
-    of this frame. faults: what was raised on the way."""
+    of this frame. faults: what was raised on the way; failed: whether that is all that came of the frame."""
 
     objects: tuple[LiveObject, ...]
     state: LiveState
@@ -37,6 +36,7 @@ class Followed:
     tracked: int = 0
     lost: int = 0
     faults: tuple[FrameFault, ...] = ()
+    failed: bool = False
 
 
 class Follower(Protocol):
@@ -133,7 +133,7 @@ class LiveLoop:
         recorded = received.recorded
         followed = attempt(lambda: self._follower.follow(recorded, deadline), frame=recorded.frame.index)
         if isinstance(followed, FrameFault):
-            followed = Followed((), self._state, reason=followed.reason, faults=(followed,))
+            followed = Followed((), self._state, reason=followed.reason, faults=(followed,), failed=True)
         self._note(followed)
         late = deadline.passed
         latency_ms = 1e3 * (time.monotonic() - received.received_s)
@@ -157,11 +157,10 @@ class LiveLoop:
 
     def _note(self, followed: Followed) -> None:
         self._state = followed.state
-        poses = [part for found in followed.objects for part in found.pose.parts if isinstance(part, PartPose)]
-        if not followed.faults or poses:
-            self._failing, self._last_fault = 0, None
-        else:
+        if followed.failed:
             self._failing, self._last_fault = self._failing + 1, followed.faults[-1]
+        else:
+            self._failing, self._last_fault = 0, None
         for fault in followed.faults:
             if fault.kind not in self._told:
                 self._told.add(fault.kind)
