@@ -81,10 +81,10 @@ def _run(options: argparse.Namespace) -> None:
 
 def _result(options: argparse.Namespace, variant: Any, category: Any, source: Any) -> dict[str, Any]:
     """The figures of one variant: of an earlier run with the same budget and recording, or trained for and measured."""
+    from benchmarks.approaches import POSE_OF, trained_by
     from benchmarks.variants import category_of
 
-    from page_training.evaluate import evaluate, scored_pose
-    from page_training.regressed import regressed_pose
+    from page_training.evaluate import evaluate
     from page_training.templates import with_templates
     from page_training.train import train
     from page_training.trained import load_trained
@@ -95,15 +95,21 @@ def _result(options: argparse.Namespace, variant: Any, category: Any, source: An
         return json.loads(kept.read_text())
     network_of = folder / (variant.trained_as or variant.name)
     meant = category_of(variant, category, folder)
+    approach = trained_by(variant.way, meant)
     checkpoint = train(
-        variant.config(category.name, options.samples), meant, options.cache, network_of, lambda news: _say(news)
+        variant.config(category.name, options.samples),
+        meant,
+        options.cache,
+        network_of,
+        lambda news: _say(news),
+        approach=approach,
     )
-    trained = load_trained(checkpoint)
+    trained = load_trained(checkpoint, approach)
     figures = evaluate(
         trained.network,
         with_templates(trained.category),
         source,
-        pose_of=regressed_pose if variant.regressed else scored_pose,
+        pose_of=POSE_OF[variant.way],
     )
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(figures, indent=2) + "\n")
@@ -113,7 +119,7 @@ def _result(options: argparse.Namespace, variant: Any, category: Any, source: An
 def _say(news: Any) -> None:
     if news.step % 200 == 0 or news.step == news.steps:
         print(
-            f"ablations:   step {news.step} of {news.steps}, radius loss {news.losses['radius']:.3f}, "
+            f"ablations:   step {news.step} of {news.steps}, loss {news.losses['total']:.3f}, "
             f"{news.samples_per_s:.1f} frames/s",
             file=sys.stderr,
             flush=True,
