@@ -13,7 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,6 @@ def _result(options: argparse.Namespace, variant: Any, category: Any, source: An
     from benchmarks.variants import category_of
 
     from page_training.evaluate import evaluate
-    from page_training.templates import with_templates
     from page_training.train import train
     from page_training.trained import load_trained
 
@@ -107,13 +107,29 @@ def _result(options: argparse.Namespace, variant: Any, category: Any, source: An
     trained = load_trained(checkpoint, approach)
     figures = evaluate(
         trained.network,
-        with_templates(trained.category),
+        replace(trained.category, parts=_with_templates(trained.category)),
         source,
         pose_of=POSE_OF[variant.way],
     )
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(figures, indent=2) + "\n")
     return figures
+
+
+def _with_templates(category: Any) -> tuple[Any, ...]:
+    return tuple(
+        replace(part, template=template)
+        for part, template in zip(category.parts, _templates(category.name), strict=True)
+    )
+
+
+@cache
+def _templates(category: str) -> tuple[Any, ...]:
+    """Of a category's parts, which no variant changes; making them takes as long as a hundred frames."""
+    from page_training.categories import category_named
+    from page_training.templates import with_templates
+
+    return tuple(part.template for part in with_templates(category_named(category)).parts)
 
 
 def _say(news: Any) -> None:

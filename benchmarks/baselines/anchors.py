@@ -114,7 +114,7 @@ def anchor_pose(metadata: BundleMetadata, sample: RegionSample, outputs: AnchorO
     category = metadata.category
     picked = outputs.attention[0].argmax(-1)
     proposed = outputs.proposals[0, torch.arange(len(picked)), picked].numpy().astype(np.float64)
-    unit = np.stack([part.keypoints_unit for part in category.parts])
+    unit = np.stack([np.asarray(part.keypoints_unit, np.float64) for part in category.parts])
     placed = umeyama(unit, proposed * category.region_radius_m + sample.center_camera)
     one_each = [placed.take(np.array([k])) for k in range(len(category.parts))]
     return plain_pose(category, members_of(sample, outputs), one_each, outputs)

@@ -140,7 +140,8 @@ def circle(axis: FloatArray, count: int) -> FloatArray:
 
 def orthogonal_to(line: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Two (Q,3) unit vectors at right angles to each of the unit vectors (Q,3) and to each other."""
-    helper = np.eye(3)[np.abs(line).argmin(axis=1)]
-    across = np.cross(line, helper)
+    aside = np.eye(3)[np.abs(line).argmin(axis=1)]
+    across: FloatArray = np.cross(line, aside)
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    return across, np.cross(line, across)
+    beyond: FloatArray = np.cross(line, across)
+    return across, beyond
