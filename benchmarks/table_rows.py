@@ -42,10 +42,10 @@ ABLATIONS = (
     ("lambda 0.8, 0.1", "VII", "lambda 0.8, 0.1, 0.1"),
 )
 NOT_THERE = (
-    "Rows in the manner of 6-PACK (anchors), A-NCSH (normalised coordinates with RANSAC) and CPPF (voting by pairs) are "
-    "heads, losses and solvers written here on this project's layers below them, trained with the same budget as every "
-    "other ablation; they are not their authors' systems. PoseCNN and ASMM have no row of ours. Rows of ours are missing "
-    "wherever no bundle, recording or ablation is."
+    "Rows in the manner of 6-PACK (anchors), A-NCSH (normalised coordinates with RANSAC) and CPPF (voting by pairs) "
+    "are heads, losses and solvers written here on this project's layers below them, trained with the same budget as "
+    "every other ablation; they are not their authors' systems. PoseCNN and ASMM have no row of ours. Rows of ours are "
+    "missing wherever no bundle, recording or ablation is."
 )
 
 
