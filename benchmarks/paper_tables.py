@@ -4,8 +4,8 @@
 
 Ours come from the shipped bundles on the procedural test split, which is made first where there is none, or on
 recordings of yours: ArtImage, ReArtMix or RobotArm where you have them. The same metrics, other data: the two stand
-side by side and prove nothing about each other. With --readme, as make tables has it, the README's figures follow. Interrupt it at any time, the same command goes on. Needs the extra
-export.
+side by side and prove nothing about each other. With --readme, as make tables has it, the README's figures follow.
+Interrupt it at any time, the same command goes on. Needs the extra export.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from page_runtime.category import Category
-from page_runtime.neighbours import LEVELS
+from page_runtime.neighbours import levels_of
 from page_training.canonical import CanonicalRefiner, PartFrames, frames_of, with_normal
 from page_training.config import Fusion
 from page_training.layers import (
@@ -162,11 +162,11 @@ class PageNetwork(nn.Module):
         """All layers but the heads of radii, which other ways to say a pose share; `dense` as in `forward`."""
         points, pixels = inputs.points, inputs.pixels
         y4, y8, y16 = self.image_branch(inputs.image)
-        level = [points[:, :count] for count in LEVELS]
+        level = [points[:, :count] for count in levels_of(points.shape[1])]
         f1 = self.level1(level[0], None, inputs.group1)
-        f1 = self.detail_fuser(f1, sample_bilinear(y8, pixels[:, : LEVELS[1]], self.image_size))
+        f1 = self.detail_fuser(f1, sample_bilinear(y8, pixels[:, : level[1].shape[1]], self.image_size))
         f2 = self.level2(level[1], f1, inputs.group2)
-        f2 = self.context_fuser(f2, sample_bilinear(y16, pixels[:, : LEVELS[2]], self.image_size))
+        f2 = self.context_fuser(f2, sample_bilinear(y16, pixels[:, : level[2].shape[1]], self.image_size))
         f3 = self.level3(level[2], f2, inputs.group3)
         whole = self.whole(torch.cat([f3, level[3] / POSITION_SCALE], dim=-1)).amax(dim=1, keepdim=True)
         g2 = self.up3(level[2], level[3], f3, f2, inputs.up3)
