@@ -46,7 +46,7 @@ bench: $(VENV)/.dev
 
 # Hours on two cores where nothing is kept yet; interrupt it, and the same command goes on.
 tables: $(VENV)/.dev
-	$(BIN)/python benchmarks/paper_tables.py
+	$(BIN)/python benchmarks/paper_tables.py --readme
 
 clean:
 	rm -rf $(VENV) $(OUT)

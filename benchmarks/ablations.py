@@ -13,7 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +82,10 @@ def _run(options: argparse.Namespace) -> None:
 
 def _result(options: argparse.Namespace, variant: Any, category: Any, source: Any) -> dict[str, Any]:
     """The figures of one variant: of an earlier run with the same budget and recording, or trained for and measured."""
+    from benchmarks.approaches import POSE_OF, trained_by
     from benchmarks.variants import category_of
 
-    from page_training.evaluate import evaluate, scored_pose
-    from page_training.regressed import regressed_pose
-    from page_training.templates import with_templates
+    from page_training.evaluate import evaluate
     from page_training.train import train
     from page_training.trained import load_trained
 
@@ -95,25 +95,47 @@ def _result(options: argparse.Namespace, variant: Any, category: Any, source: An
         return json.loads(kept.read_text())
     network_of = folder / (variant.trained_as or variant.name)
     meant = category_of(variant, category, folder)
+    approach = trained_by(variant.way, meant)
     checkpoint = train(
-        variant.config(category.name, options.samples), meant, options.cache, network_of, lambda news: _say(news)
+        variant.config(category.name, options.samples),
+        meant,
+        options.cache,
+        network_of,
+        lambda news: _say(news),
+        approach=approach,
     )
-    trained = load_trained(checkpoint)
+    trained = load_trained(checkpoint, approach)
     figures = evaluate(
         trained.network,
-        with_templates(trained.category),
+        replace(trained.category, parts=_with_templates(trained.category)),
         source,
-        pose_of=regressed_pose if variant.regressed else scored_pose,
+        pose_of=POSE_OF[variant.way],
     )
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(figures, indent=2) + "\n")
     return figures
 
 
+def _with_templates(category: Any) -> tuple[Any, ...]:
+    return tuple(
+        replace(part, template=template)
+        for part, template in zip(category.parts, _templates(category.name), strict=True)
+    )
+
+
+@cache
+def _templates(category: str) -> tuple[Any, ...]:
+    """Of a category's parts, which no variant changes; making them takes as long as a hundred frames."""
+    from page_training.categories import category_named
+    from page_training.templates import with_templates
+
+    return tuple(part.template for part in with_templates(category_named(category)).parts)
+
+
 def _say(news: Any) -> None:
     if news.step % 200 == 0 or news.step == news.steps:
         print(
-            f"ablations:   step {news.step} of {news.steps}, radius loss {news.losses['radius']:.3f}, "
+            f"ablations:   step {news.step} of {news.steps}, loss {news.losses['total']:.3f}, "
             f"{news.samples_per_s:.1f} frames/s",
             file=sys.stderr,
             flush=True,

@@ -1,23 +1,25 @@
 """The paper's tables with our rows beside its own, as Markdown, CSV and plots.
 
-    make tables      or      python benchmarks/paper_tables.py [--recording CATEGORY=PATH ...] [--quick]
+    make tables      or      python benchmarks/paper_tables.py [--recording CATEGORY=PATH ...] [--quick] [--readme]
 
 Ours come from the shipped bundles on the procedural test split, which is made first where there is none, or on
 recordings of yours: ArtImage, ReArtMix or RobotArm where you have them. The same metrics, other data: the two stand
-side by side and prove nothing about each other. Interrupt it at any time, the same command goes on. Needs the extra
-export.
+side by side and prove nothing about each other. With --readme, as make tables has it, the README's figures follow.
+Interrupt it at any time, the same command goes on. Needs the extra export.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 import sys
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-OUT = ROOT / "benchmarks" / "results" / "tables"
+RESULTS = ROOT / "benchmarks" / "results"
+OUT = RESULTS / "tables"
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 
@@ -29,7 +31,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the tables and of what is kept")
     parser.add_argument("--processes", type=int, default=1, help="of a validation (default: 1)")
     parser.add_argument("--quick", action="store_true", help="20 frames a category, to see that it runs")
+    parser.add_argument("--readme", action="store_true", help="keep what the README tells, and write its figures")
     options = parser.parse_args(arguments)
+    if options.readme and (options.quick or options.recording):
+        parser.error("--readme: it tells of the whole test split; leave --quick and --recording out")
     try:
         return _run(options)
     except ImportError as error:
@@ -51,8 +56,25 @@ def _run(options: argparse.Namespace) -> int:
     results = results_of(measured, options.out, processes=options.processes)
     figures = figures_from(results)
     write_tables(options.out, figures, markdown(figures, results), plots_from(figures))
+    if options.readme:
+        keep_for_readme(results)
     print(options.out / "tables.md")
     return 0
+
+
+def keep_for_readme(results: dict[str, Any], folder: Path = RESULTS) -> None:
+    """The validations' and timings' figures as the small files that the README is written from."""
+    from benchmarks.kept_accuracy import keep
+    from benchmarks.readme_figures import write_readme
+
+    for one in results["validations"]:
+        frames = one["document"]["frames"]
+        keep(f"{one['category']}-test", one["document"], f"procedural, {frames} unseen instances", folder / "accuracy")
+    for one in results["latencies"]:
+        text = json.dumps(one["document"], indent=1) + "\n"
+        (folder / f"latency-{one['category']}.json").write_text(text, encoding="utf-8")
+    if folder == RESULTS:
+        write_readme()
 
 
 def write_tables(folder: Path, figures: list[Any], text: str, plots: dict[str, str]) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarks.approaches import Way
 
 from page_runtime.category import Category
 from page_training.config import RADIUS_WEIGHT, SEGMENTATION_WEIGHT, Fusion, TrainingConfig
@@ -21,8 +22,7 @@ class Variant:
     """One row. table: of the paper. paper: its figures, rotation [deg] of its parts, on `paper_category`.
 
     method, count: the keypoints, None for the project's eight of which three are voted; `count` ones are all voted.
-    weights: lambda 1 and 2 of the KP-Estimator. regressed: poses from regressed keypoints. trained_as: of the variant
-    whose network it shares.
+    weights: lambda 1 and 2 of the KP-Estimator. way: to a pose. trained_as: of the variant whose network it shares.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Variant:
     weights: tuple[float, float] = (0.6, 0.2)
     fusion: Fusion = "gated"
     tau: tuple[float, float] = (SEGMENTATION_WEIGHT, RADIUS_WEIGHT)
-    regressed: bool = False
+    way: Way = "scoring"
     trained_as: str | None = None
     seed: int = SEED
 
@@ -57,7 +57,10 @@ VARIANTS = (
     Variant("depth only", "IV", (6.7, 4.2), "laptop", fusion="depth"),
     Variant("concatenation", "II", (2.6, 7.1), fusion="concatenated"),
     Variant("dense fusion", "II", (2.3, 6.5), fusion="dense"),
-    Variant("regression", "II", (10.5, 15.4), regressed=True, trained_as=OURS),
+    Variant("regression", "II", (10.5, 15.4), way="regression", trained_as=OURS),
+    Variant("anchors (6-PACK)", "I, II", (7.8, 8.5), way="anchors"),
+    Variant("normalised coordinates (A-NCSH)", "I", (2.0, 2.6), way="normalised"),
+    Variant("pair voting (CPPF)", "I", (3.2, 5.7), way="pairs"),
     Variant("KP-Estimator, 3", "II, VII", (1.9, 5.4), method=LEARNED),
     Variant("FPS, 3", "II", (11.2, 12.6), method="FPS"),
     Variant("box corners, 3", "II", (9.8, 10.5), method="box corners"),

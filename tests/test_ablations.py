@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
-from benchmarks import ablations, robustness
+from benchmarks import ablations, robustness, variants
+from benchmarks.approaches import POSE_OF, Way
 from benchmarks.perturbations import SETTINGS, gaussian, offset, scaling
-from benchmarks.variants import VARIANTS
+from benchmarks.variants import VARIANTS, category_of
 
 from page_runtime import Network
 from page_runtime.geometry import apply
@@ -22,13 +25,15 @@ from page_training.batches import make_batch
 from page_training.cache import make_shard
 from page_training.categories import CATEGORIES
 from page_training.cli import main
-from page_training.config import Augmentation
+from page_training.config import Augmentation, TrainingConfig
 from page_training.evaluate import metadata_for, outputs_of
+from page_training.keypoint_estimator import EstimatorConfig
 from page_training.keypoint_report import heuristics
 from page_training.keypoints import METHODS, read_keypoints, with_keypoints, write_keypoints
 from page_training.network import network_for
 from page_training.records import NEIGHBOUR_TABLES, open_shards, shard_path
 from page_training.regressed import regressed_pose
+from page_training.templates import part_templates
 from page_training.trained import load_trained
 
 BOX = CATEGORIES["box"]
@@ -38,7 +43,7 @@ TRIANGLE = 0.35 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.8, 0.0], [-0.5, -0.8, 0.0]
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("cache")
-    make_shard(BOX, "train", 0, shard_path(root, "box", "train", 0), size=6)
+    make_shard(BOX, "train", 0, shard_path(root, "box", "train", 0), size=2)
     return root
 
 
@@ -179,21 +184,42 @@ def test_robustness_of_a_bundle_that_knows_the_answer(
     assert robustness.main([str(oracle_bundle), str(tmp_path)]) == 2
 
 
-def test_the_ablations_train_measure_and_go_on(cache: Path, toy_recording: Path, tmp_path: Path) -> None:
+def test_every_way_to_a_pose_is_trained_measured_and_goes_on(
+    cache: Path, toy_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = [one.name for one in VARIANTS]
     assert len(set(names)) == len(names)
     assert {one.trained_as for one in VARIANTS if one.trained_as} <= set(names)
+    assert {one.way for one in VARIANTS} == set(get_args(Way)) == set(POSE_OF)
+    ways = {one.way: one.name for one in reversed(VARIANTS)}
+    monkeypatch.setattr(variants, "TrainingConfig", partial(TrainingConfig, batch_size=2, dense_points=64))
+    monkeypatch.setattr("page_training.templates.part_templates", partial(part_templates, instances=3))
     runs, out = tmp_path / "runs", tmp_path / "out"
-    arguments = ["box", str(toy_recording), "--samples", "24", "--cache", str(cache), "--runs", str(runs)]
-    arguments += ["--out", str(out), "--only", "ours", "regression", "FPS, 3"]
+    arguments = ["box", str(toy_recording), "--samples", "2", "--cache", str(cache), "--runs", str(runs)]
+    arguments += ["--out", str(out), "--only", *ways.values()]
     assert ablations.main(arguments) == 0
     checkpoints = sorted(runs.rglob("checkpoint.pt"))
-    assert len(checkpoints) == 2, "regression is of the network of ours"
+    assert len(checkpoints) == len(ways) - 1, "regression is of the network of ours"
     before = {path: path.stat().st_mtime_ns for path in checkpoints}
     first = (out / "ablations.json").read_text()
     assert ablations.main(arguments) == 0
     assert {path: path.stat().st_mtime_ns for path in checkpoints} == before
     assert (out / "ablations.json").read_text() == first
     rows = (out / "ablations.md").read_text()
-    assert all(name in rows for name in ("| ours |", "| regression |", "| FPS, 3 |"))
+    assert all(f"| {name} |" in rows for name in ways.values())
+    assert "trained with the same budget" in rows
     assert ablations.main(["no-category", str(toy_recording)]) == 2
+
+
+def test_a_variants_keypoints_are_found_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(variants, "EstimatorConfig", partial(EstimatorConfig, instances=2, points=64, steps=2))
+    chosen = {one.method: one for one in reversed(VARIANTS) if one.method is not None}
+    assert set(chosen) == set(METHODS)
+    for variant in chosen.values():
+        found = category_of(variant, BOX, tmp_path)
+        assert found.num_voted == found.num_keypoints == variant.count
+    monkeypatch.setattr(variants, "part_clouds", None)
+    for variant in chosen.values():
+        kept = category_of(variant, BOX, tmp_path)
+        assert kept.num_keypoints == variant.count
+    assert category_of(VARIANTS[0], BOX, tmp_path) is BOX

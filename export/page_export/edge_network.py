@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from page_export.edge_layers import CornerSampler, abstracted, dense, fused, interpolated, linear, propagated, weighted
-from page_runtime.neighbours import ANSWERED, LEVELS
+from page_runtime.neighbours import LEVELS, answered_of, levels_of
 from page_training.canonical import COORDINATE_SCALE
 from page_training.network import POSITION_SCALE, REFINEMENTS, PageNetwork
 
@@ -28,11 +28,13 @@ from page_training.network import POSITION_SCALE, REFINEMENTS, PageNetwork
 class EdgeNetwork(nn.Module):
     """The exported form of a network, its batch norms folded; inputs and outputs as the runtime has them."""
 
-    def __init__(self, network: PageNetwork) -> None:
+    def __init__(self, network: PageNetwork, num_points: int = LEVELS[0]) -> None:
+        """num_points: N of its inputs."""
         super().__init__()
         self.network = network
+        self.levels, self.answered = levels_of(num_points), answered_of(num_points)
         parts, count = network.num_parts, network.num_keypoints
-        self.sampler = CornerSampler(network.image_size, (4, 8, 16), ANSWERED)
+        self.sampler = CornerSampler(network.image_size, (4, 8, 16), self.answered)
         self.frames = Frames(network)
         refiner = network.refiner
         self.register_buffer("located", (refiner.located.weight / COORDINATE_SCALE).t().contiguous())
@@ -59,7 +61,7 @@ class EdgeNetwork(nn.Module):
         self.register_buffer(
             "last_bias", torch.cat([x.bias for x in (network.parts, network.sides, network.keypoints)])
         )
-        self.register_buffer("one", torch.ones(LEVELS[1], 1))
+        self.register_buffer("one", torch.ones(self.levels[1], 1))
 
     def forward(
         self,
@@ -75,15 +77,15 @@ class EdgeNetwork(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         net = self.network
         parts, count = net.num_parts, net.num_keypoints
-        points, pixels = points[0], pixels[0, :ANSWERED]
-        first, second, third = (points[:n] for n in LEVELS[1:])
+        points, pixels = points[0], pixels[0, : self.answered]
+        first, second, third = (points[:n] for n in self.levels[1:])
         maps = [y.flatten(2)[0].t() for y in net.image_branch(image)]
         corners = self.sampler(pixels)
         s4, s8 = (weighted(rows, *corner) for rows, corner in zip(maps[:2], corners[:2], strict=True))
-        s16 = weighted(maps[2], *(values[: LEVELS[2]] for values in corners[2]))
+        s16 = weighted(maps[2], *(values[: self.levels[2]] for values in corners[2]))
 
         f1 = abstracted(net.level1, points, [], group1[0])
-        f1 = fused(net.detail_fuser, f1, s8[: LEVELS[1]])
+        f1 = fused(net.detail_fuser, f1, s8[: self.levels[1]])
         f2 = abstracted(net.level2, first, f1, group2[0])
         f2 = fused(net.context_fuser, f2, s16)
         f3 = abstracted(net.level3, second, f2, group3[0])
@@ -103,8 +105,8 @@ class EdgeNetwork(nn.Module):
         for _ in range(REFINEMENTS):
             axes, origin, to_part = self.frames(guess)
             seen = homogeneous @ (to_part @ self.located + self.part)
-            seen = functional.relu(seen + known).view(parts * LEVELS[1], -1)
-            seen = net.refiner.described(seen).view(parts, LEVELS[1], -1)
+            seen = functional.relu(seen + known).view(parts * self.levels[1], -1)
+            seen = net.refiner.described(seen).view(parts, self.levels[1], -1)
             pooled = torch.cat([(share.unsqueeze(1) @ seen).squeeze(1), seen.amax(dim=1)], dim=-1)
             pooled = net.refiner.pooled(pooled)
             correction = net.refiner.correction(pooled).view(parts, count, 3)
@@ -115,7 +117,7 @@ class EdgeNetwork(nn.Module):
 
         own_part = functional.softmax(logits[:, :parts], dim=-1)
         coarse = torch.cat([torch.addmm(self.raise_bias, g1, self.raise_features), own_part], dim=1)
-        points = points[:ANSWERED]
+        points = points[: self.answered]
         raised = interpolated(points, first, coarse, up1[0])
         g0, owner = raised[:, :-parts], raised[:, -parts:]
         to_all_parts = to_part.transpose(0, 1).reshape(4, 3 * parts)

@@ -18,7 +18,7 @@ from page_export.edge_network import EdgeNetwork
 from page_export.simplified import simplified
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
-from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
+from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, answered_of, levels_of
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_training.config import VOXEL_M
 from page_training.layers import Convolution
@@ -52,27 +52,30 @@ def folded(network: PageNetwork) -> PageNetwork:
     return network
 
 
-def example_inputs() -> tuple[Tensor, ...]:
+def example_inputs(num_points: int = LEVELS[0], image_size: int = IMAGE_SIZE) -> tuple[Tensor, ...]:
     """Random inputs of the exported shapes, batch of one."""
     generator = torch.Generator().manual_seed(0)
-    full, *coarse = LEVELS
+    levels = levels_of(num_points)
+    full, *coarse = levels
     groups = [
         torch.randint(fine, (1, count, GROUP_SIZE), generator=generator, dtype=torch.int32)
-        for fine, count in zip(LEVELS[:-1], coarse, strict=True)
+        for fine, count in zip(levels[:-1], coarse, strict=True)
     ]
     ups = [
         torch.randint(count, (1, fine, INTERPOLATION_SIZE), generator=generator, dtype=torch.int32)
-        for fine, count in zip((ANSWERED, *coarse[:-1]), coarse, strict=True)
+        for fine, count in zip((answered_of(num_points), *coarse[:-1]), coarse, strict=True)
     ]
-    image = torch.rand(1, 3, IMAGE_SIZE, IMAGE_SIZE, generator=generator)
+    image = torch.rand(1, 3, image_size, image_size, generator=generator)
     points = torch.randn(1, full, 3, generator=generator)
-    pixels = torch.rand(1, full, 2, generator=generator) * (IMAGE_SIZE - 1)
+    pixels = torch.rand(1, full, 2, generator=generator) * (image_size - 1)
     return image, points, pixels, *groups, *ups
 
 
-def graph_of(network: PageNetwork) -> onnx.ModelProto:
-    """The network as a checked ONNX model of standard operators, without metadata."""
-    return simplified(exported(EdgeNetwork(folded(network)).eval(), example_inputs(), INPUT_NAMES, OUTPUT_NAMES))
+def graph_of(network: PageNetwork, num_points: int = LEVELS[0]) -> onnx.ModelProto:
+    """The network as a checked ONNX model of standard operators, without metadata, for so many points and pictures of
+    its own size."""
+    examples = example_inputs(num_points, network.image_size)
+    return simplified(exported(EdgeNetwork(folded(network), num_points).eval(), examples, INPUT_NAMES, OUTPUT_NAMES))
 
 
 def exported(
@@ -100,13 +103,20 @@ def exported(
 
 
 def write_bundle(
-    model: onnx.ModelProto, category: Category, path: Path, *, mirrored: bool, provenance: dict[str, Any]
+    model: onnx.ModelProto,
+    category: Category,
+    path: Path,
+    *,
+    mirrored: bool,
+    provenance: dict[str, Any],
+    num_points: int = LEVELS[0],
+    image_size: int = IMAGE_SIZE,
 ) -> None:
-    """Write model and metadata as one file, whole or not at all; mirrored as in `BundleMetadata`."""
+    """Write model and metadata as one file, whole or not at all; all but `model` as in `BundleMetadata`."""
     metadata = BundleMetadata(
         category=category,
-        num_points=LEVELS[0],
-        image_size=IMAGE_SIZE,
+        num_points=num_points,
+        image_size=image_size,
         voxel_m=VOXEL_M,
         opset=OPSET,
         mirrored=mirrored,

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from page_export.onnx_export import OPSET, exported
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
-from page_runtime.neighbours import ANSWERED
+from page_runtime.neighbours import answered_of
 from page_runtime.part_poses import MAX_VOTERS, MIN_PART_POINTS
 
 # Of 288 keypoints, half of them with correlated radius errors, the votes were the maximum for 91 % with 64 cells, 98 %
@@ -131,7 +131,7 @@ def scorer_graph(metadata: BundleMetadata, beam: int = BEAM) -> onnx.ModelProto:
     """The scorer alone, as an ONNX model from INPUTS to OUTPUTS."""
     category = metadata.category
     generator = torch.Generator().manual_seed(0)
-    answered = min(ANSWERED, metadata.num_points)
+    answered = answered_of(metadata.num_points)
     shapes = ((metadata.num_points, 3), (answered, len(category.parts) + 1), (answered, category.num_keypoints))
     examples = [torch.rand(1, *shape, generator=generator) for shape in shapes]
     examples += [torch.rand(1, 3, generator=generator), torch.tensor([metadata.num_points])]

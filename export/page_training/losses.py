@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from page_training.config import RADIUS_WEIGHT, SEGMENTATION_WEIGHT
-from page_training.network import NetworkOutputs
+from page_training.network import NetworkOutputs, ObjectOutputs
 
 # Parts are described by the points the coarse head gives them, so nothing is learned of parts before it is right:
 # at 0.1 the keypoint error after 250 steps of memorising was two fifths larger.
@@ -26,7 +26,8 @@ class Targets(NamedTuple):
     """What the network should have said; D dense points, lengths in region radii but for extents_m (metres).
 
     labels (B,D), num_parts for background; coarse_labels (B,512); radii (B,D,n) and keypoints (B,D,n,3) of each point's
-    own part; sides (B,D,n_voted) 0 or 1; part_keypoints (B,K,n,3); extents_m (B,K,3); diagonals (B,K).
+    own part; sides (B,D,n_voted) 0 or 1; part_keypoints (B,K,n,3); extents_m (B,K,3); diagonals (B,K); R (B,K,3,3) and
+    origins (B,K,3) of the parts; points (B,D,3) the dense points.
     """
 
     labels: Tensor
@@ -37,6 +38,9 @@ class Targets(NamedTuple):
     part_keypoints: Tensor
     extents_m: Tensor
     diagonals: Tensor
+    R: Tensor
+    origins: Tensor
+    points: Tensor
 
 
 def part_weights(labels: Tensor, num_parts: int) -> Tensor:
@@ -60,34 +64,56 @@ def page_loss(
 ) -> dict[str, Tensor]:
     """Every term and their weighted sum, "total". Lengths count in tenths of the part's diagonal. The two weights are
     tau 1 and 2 of Eq. 19."""
-    num_parts = targets.extents_m.shape[1]
-    weights = part_weights(targets.labels, num_parts)
-    own_part = targets.labels.clamp_max(num_parts - 1)
-    unit = RADIUS_UNIT * torch.take_along_dim(targets.diagonals, own_part, dim=1).unsqueeze(-1)
+    weights = part_weights(targets.labels, targets.extents_m.shape[1])
+    unit = own_unit(targets)
     radius = ((outputs.radii - targets.radii).abs() / unit).mean(dim=-1)
     keypoint = ((outputs.keypoints - targets.keypoints).abs() / unit.unsqueeze(-1)).mean(dim=(-2, -1))
     side = functional.binary_cross_entropy_with_logits(outputs.side_logits, targets.sides, reduction="none").mean(-1)
-    present = torch.stack([(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1)
-    extent = (outputs.log_extents - targets.extents_m.log()).abs().mean(-1)
-    part_unit = RADIUS_UNIT * targets.diagonals
-    guesses = torch.stack(outputs.part_keypoints) - targets.part_keypoints
-    part_keypoint = guesses.abs().mean(dim=(-2, -1)).sum(dim=0) / part_unit
-    terms = {
-        "segmentation": functional.cross_entropy(outputs.part_logits.flatten(0, 1), targets.labels.flatten()),
-        "coarse": functional.cross_entropy(outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()),
+    terms = object_terms(outputs, targets) | {
         "radius": (radius * weights).sum(),
         "keypoint": (keypoint * weights).sum(),
-        "part_keypoint": (part_keypoint * present).sum() / present.sum().clamp_min(1),
         "side": (side * weights).sum(),
-        "extent": (extent * present).sum() / present.sum().clamp_min(1),
     }
     terms["total"] = (
-        segmentation_weight * terms["segmentation"]
+        weighted_object_terms(terms, segmentation_weight)
         + radius_weight * terms["radius"]
-        + COARSE_WEIGHT * terms["coarse"]
         + KEYPOINT_WEIGHT * terms["keypoint"]
-        + PART_KEYPOINT_WEIGHT * terms["part_keypoint"]
         + SIDE_WEIGHT * terms["side"]
-        + EXTENT_WEIGHT * terms["extent"]
     )
     return terms
+
+
+def own_unit(targets: Targets) -> Tensor:
+    """(B,D,1) a tenth of the diagonal of each point's own part, in which lengths count."""
+    own_part = targets.labels.clamp_max(targets.extents_m.shape[1] - 1)
+    return RADIUS_UNIT * torch.take_along_dim(targets.diagonals, own_part, dim=1).unsqueeze(-1)
+
+
+def parts_present(targets: Targets) -> Tensor:
+    """(B,K) parts with so many dense points that they are learned from."""
+    num_parts = targets.extents_m.shape[1]
+    return torch.stack([(targets.labels == part).sum(1) >= MIN_PART_POINTS for part in range(num_parts)], dim=1)
+
+
+def object_terms(outputs: ObjectOutputs, targets: Targets) -> dict[str, Tensor]:
+    """The terms of what is said of an object whatever its points say: parts, their first keypoints, sizes."""
+    present = parts_present(targets)
+    extent = (outputs.log_extents - targets.extents_m.log()).abs().mean(-1)
+    guesses = torch.stack(outputs.part_keypoints) - targets.part_keypoints
+    part_keypoint = guesses.abs().mean(dim=(-2, -1)).sum(dim=0) / (RADIUS_UNIT * targets.diagonals)
+    return {
+        "segmentation": functional.cross_entropy(outputs.part_logits.flatten(0, 1), targets.labels.flatten()),
+        "coarse": functional.cross_entropy(outputs.coarse_logits.flatten(0, 1), targets.coarse_labels.flatten()),
+        "part_keypoint": (part_keypoint * present).sum() / present.sum().clamp_min(1),
+        "extent": (extent * present).sum() / present.sum().clamp_min(1),
+    }
+
+
+def weighted_object_terms(terms: dict[str, Tensor], segmentation_weight: float) -> Tensor:
+    """Their share of the total."""
+    return (
+        segmentation_weight * terms["segmentation"]
+        + COARSE_WEIGHT * terms["coarse"]
+        + PART_KEYPOINT_WEIGHT * terms["part_keypoint"]
+        + EXTENT_WEIGHT * terms["extent"]
+    )

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from page_runtime.category import Category
-from page_runtime.neighbours import LEVELS
+from page_runtime.neighbours import levels_of
 from page_training.canonical import CanonicalRefiner, PartFrames, frames_of, with_normal
 from page_training.config import Fusion
 from page_training.layers import (
@@ -39,6 +39,8 @@ POSITION_SCALE = 0.25
 LEAST_THICKNESS = 0.05
 # Looks at the object from its parts' guessed frames, by the same weights.
 REFINEMENTS = 2
+# Of every dense point, below the heads.
+FEATURES = 96
 
 
 class NetworkInputs(NamedTuple):
@@ -54,17 +56,39 @@ class NetworkInputs(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkOutputs:
-    """`keypoints` (B,D,n,3), `coarse_logits` (B,512,K+1) and `part_keypoints`, the guesses (B,K,n,3) from first to
-    last, are training signals; the export leaves them out."""
+class ObjectOutputs:
+    """What is said of an object whatever its points say. `coarse_logits` (B,512,K+1) and `part_keypoints`, the guesses
+    (B,K,n,3) from first to last, are training signals; the export leaves them out."""
 
     part_logits: Tensor
-    radii: Tensor
-    side_logits: Tensor
     log_extents: Tensor
-    keypoints: Tensor
     coarse_logits: Tensor
     part_keypoints: tuple[Tensor, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOutputs(ObjectOutputs):
+    """`keypoints` (B,D,n,3), too, is a training signal."""
+
+    radii: Tensor
+    side_logits: Tensor
+    keypoints: Tensor
+
+
+class Described(NamedTuple):
+    """What the layers below the heads know of the dense points, in region radii and the centred frame.
+
+    points (B,D,3); features (B,D,FEATURES); owner (B,K,D,1) how far a point is part k's; in_part (B,D,3) its place in
+    the guessed frame of its own part; refined (B,D,3n) the guessed keypoints of its own part; frames: the last guess.
+    """
+
+    points: Tensor
+    features: Tensor
+    owner: Tensor
+    in_part: Tensor
+    refined: Tensor
+    frames: PartFrames
+    common: ObjectOutputs
 
 
 class PageNetwork(nn.Module):
@@ -111,20 +135,38 @@ class PageNetwork(nn.Module):
         self.up1 = FeaturePropagation(128 + 128 + 3 * num_keypoints, 6, 128)
         self.after_up1 = Dense(128, 128)
         self.fuser = FUSERS[fusion](128, c4 + c8, 64)
-        self.head = nn.Sequential(Dense(self.fuser.outputs, 128), Dense(128, 96))
-        self.parts = nn.Linear(96, num_parts + 1)
-        self.keypoints = nn.Linear(96, 3 * num_keypoints)
-        self.sides = nn.Linear(96, num_voted)
+        self.head = nn.Sequential(Dense(self.fuser.outputs, 128), Dense(128, FEATURES))
+        self.parts = nn.Linear(FEATURES, num_parts + 1)
+        self.keypoints = nn.Linear(FEATURES, 3 * num_keypoints)
+        self.sides = nn.Linear(FEATURES, num_voted)
 
     def forward(self, inputs: NetworkInputs, dense: Tensor | None = None) -> NetworkOutputs:
         """`dense` (B,D): evaluate the dense layers at these points, of all that up1 has rows for."""
+        known = self.described(inputs, dense)
+        # Corrections in the part's frame and in parts of its diagonal, turned back.
+        correction = self.keypoints(known.features).view(len(known.points), 1, -1, 3) @ known.frames.axes
+        correction = known.owner * correction.view(*known.owner.shape[:3], -1)
+        keypoints = (known.refined + correction.sum(dim=1)).view(*known.points.shape[:2], self.num_keypoints, 3)
+        common = known.common
+        return NetworkOutputs(
+            part_logits=common.part_logits,
+            radii=(keypoints - known.points.unsqueeze(2)).square().sum(-1).clamp_min(1e-8).sqrt(),
+            side_logits=self.sides(known.features),
+            log_extents=common.log_extents,
+            keypoints=keypoints,
+            coarse_logits=common.coarse_logits,
+            part_keypoints=common.part_keypoints,
+        )
+
+    def described(self, inputs: NetworkInputs, dense: Tensor | None = None) -> Described:
+        """All layers but the heads of radii, which other ways to say a pose share; `dense` as in `forward`."""
         points, pixels = inputs.points, inputs.pixels
         y4, y8, y16 = self.image_branch(inputs.image)
-        level = [points[:, :count] for count in LEVELS]
+        level = [points[:, :count] for count in levels_of(points.shape[1])]
         f1 = self.level1(level[0], None, inputs.group1)
-        f1 = self.detail_fuser(f1, sample_bilinear(y8, pixels[:, : LEVELS[1]], self.image_size))
+        f1 = self.detail_fuser(f1, sample_bilinear(y8, pixels[:, : level[1].shape[1]], self.image_size))
         f2 = self.level2(level[1], f1, inputs.group2)
-        f2 = self.context_fuser(f2, sample_bilinear(y16, pixels[:, : LEVELS[2]], self.image_size))
+        f2 = self.context_fuser(f2, sample_bilinear(y16, pixels[:, : level[2].shape[1]], self.image_size))
         f3 = self.level3(level[2], f2, inputs.group3)
         whole = self.whole(torch.cat([f3, level[3] / POSITION_SCALE], dim=-1)).amax(dim=1, keepdim=True)
         g2 = self.up3(level[2], level[3], f3, f2, inputs.up3)
@@ -159,20 +201,14 @@ class PageNetwork(nn.Module):
         g0 = self.after_up1(self.up1(points, level[1], g1, torch.cat([points / POSITION_SCALE, in_part], dim=-1), up1))
         color = torch.cat([sample_bilinear(y, pixels, self.image_size) for y in (y4, y8)], dim=-1)
         fused = self.head(self.fuser(g0, color))
-        # Corrections in the part's frame and in parts of its diagonal, turned back.
-        correction = self.keypoints(fused).view(len(points), 1, -1, 3) @ frames.axes
-        correction = (owner * correction.view(len(points), self.num_parts, fused.shape[1], -1)).sum(dim=1)
-        keypoints = interpolate_up(points, level[1], refined, up1) + correction
-        keypoints = keypoints.view(*fused.shape[:2], self.num_keypoints, 3)
-        radii = (keypoints - points.unsqueeze(2)).square().sum(-1).clamp_min(1e-8).sqrt()
-        return NetworkOutputs(
-            part_logits=self.parts(fused),
-            radii=radii,
-            side_logits=self.sides(fused),
-            log_extents=self.extents(vectors),
-            keypoints=keypoints,
-            coarse_logits=coarse_logits,
-            part_keypoints=tuple(guesses),
+        return Described(
+            points=points,
+            features=fused,
+            owner=owner,
+            in_part=in_part,
+            refined=interpolate_up(points, level[1], refined, up1),
+            frames=frames,
+            common=ObjectOutputs(self.parts(fused), self.extents(vectors), coarse_logits, tuple(guesses)),
         )
 
     def _framed(self, keypoints: Tensor) -> Tensor:
@@ -190,7 +226,11 @@ class PageNetwork(nn.Module):
         return self.part_vector[1](share.transpose(1, 2) @ described)
 
 
+def keypoints_of(category: Category) -> Tensor:
+    """(K,n,3) float32, the keypoints of each part in units of its diagonal."""
+    return torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).to(torch.float32)
+
+
 def network_for(category: Category, fusion: Fusion = "gated") -> PageNetwork:
     """An untrained network of the category's shape."""
-    keypoints_unit = torch.from_numpy(np.stack([part.keypoints_unit for part in category.parts])).to(torch.float32)
-    return PageNetwork(keypoints_unit, category.num_voted, fusion)
+    return PageNetwork(keypoints_of(category), category.num_voted, fusion)

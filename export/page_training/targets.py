@@ -12,7 +12,7 @@ from torch.nn import functional
 from page_runtime.category import Category, Part
 from page_runtime.symmetry import Interchange, Symmetry, nearest_turn, turn_of
 from page_training.losses import Targets
-from page_training.network import NetworkOutputs
+from page_training.network import ObjectOutputs
 
 
 class Truth(NamedTuple):
@@ -64,10 +64,13 @@ def targets_of(truth: Truth, category: Category) -> Targets:
         part_keypoints=keypoints / unit,
         extents_m=truth.extents_m,
         diagonals=diagonals_m / unit,
+        R=truth.R,
+        origins=truth.t / unit,
+        points=truth.points / unit,
     )
 
 
-def settled_targets(truth: Truth, targets: Targets, outputs: NetworkOutputs, category: Category) -> Targets:
+def settled_targets(truth: Truth, targets: Targets, outputs: ObjectOutputs, category: Category) -> Targets:
     """The targets made of a truth or, where other poses look the same, those nearest to what the network said.
 
     Demanding one of several that look alike would teach their mean.
@@ -97,7 +100,7 @@ def _interchanged(truth: Truth, rule: Interchange, chosen: Tensor) -> Truth:
     return truth._replace(R=R, t=t, extents_m=extents_m, labels=labels, coarse_labels=coarse)
 
 
-def _costs(outputs: NetworkOutputs, targets: Targets) -> Tensor:
+def _costs(outputs: ObjectOutputs, targets: Targets) -> Tensor:
     """(B,) how far what was said is from the targets: mean cross-entropy of the labels and mean error of the parts'
     keypoints in diagonals."""
     entropy = functional.cross_entropy(outputs.part_logits.transpose(1, 2), targets.labels, reduction="none").mean(1)

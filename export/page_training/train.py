@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from page_runtime.bundle import category_document
 from page_runtime.category import Category
+from page_training.approach import SCORING, Approach
 from page_training.batches import Batch, make_batch
 from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint
 from page_training.config import TrainingConfig
-from page_training.losses import page_loss
-from page_training.network import network_for
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
 from page_training.records import fault_of, open_shards
 from page_training.run_folder import add_report, begin, require_same_run, validation_totals
@@ -141,6 +140,7 @@ def train(
     run: Path,
     on_report: Callable[[Report], None],
     on_fault: Callable[[str], None] | None = None,
+    approach: Approach = SCORING,
 ) -> Path:
     """Train, or go on with the run in folder `run`; returns its checkpoint.
 
@@ -155,7 +155,7 @@ def train(
     workers = join_workers(config.batch_size)
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    network = network_for(category, config.fusion)
+    network = approach.network(category, config.fusion)
     network.image_branch.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     earlier_samples, first_step = 0, 0
     checkpoint = run / "checkpoint.pt"
@@ -190,7 +190,7 @@ def train(
         # The gate's noise, too, depends on the step and the worker alone.
         torch.manual_seed(hash((config.seed, step)) + workers.rank)
         outputs = module(batch.inputs, batch.dense)
-        terms = page_loss(
+        terms = approach.loss(
             outputs,
             settled_targets(batch.truth, batch.targets, outputs, category),
             segmentation_weight=config.segmentation_weight,
@@ -216,7 +216,7 @@ def train(
                     steps=steps,
                     samples_per_s=speed,
                     losses=means,
-                    validation=validation_losses(average, validation, category) if due else None,
+                    validation=validation_losses(average, validation, category, approach.loss) if due else None,
                     picture=validation_picture(average, validation, category) if due else None,
                 )
                 save_checkpoint(

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from page_runtime.category import Category
+from page_training.approach import SCORING, Approach
 from page_training.checkpoint import load_average, load_checkpoint, trained_category
 from page_training.config import TrainingConfig
-from page_training.network import PageNetwork, network_for
+from page_training.network import PageNetwork
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -23,11 +24,11 @@ class Trained:
     config: dict[str, Any]
 
 
-def load_trained(path: Path) -> Trained:
+def load_trained(path: Path, approach: Approach = SCORING) -> Trained:
     """ValueError where the file is none of `page-train` or of another release's network."""
     state = load_checkpoint(path)
     category = trained_category(state)
     config = json.loads(state["config"])
-    network = network_for(category, config.get("fusion", TrainingConfig(category.name).fusion))
+    network = approach.network(category, config.get("fusion", TrainingConfig(category.name).fusion))
     load_average(network, state, path)
     return Trained(network, category, state["samples"], config)

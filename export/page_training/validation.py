@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from torch import Tensor
 
 from page_runtime.category import Category
 from page_training.batches import Batch, make_batch
-from page_training.losses import page_loss
-from page_training.network import PageNetwork
+from page_training.losses import own_unit, page_loss
+from page_training.network import NetworkOutputs, PageNetwork
 from page_training.targets import settled_targets
 
 _SHOWN = 8
@@ -22,7 +23,11 @@ _COLORS = np.array([(255, 64, 64), (64, 220, 64), (80, 120, 255), (255, 200, 40)
 
 @torch.no_grad()
 def validation_losses(
-    network: PageNetwork, shards: list[NDArray[Any]], category: Category, limit: int = 256
+    network: PageNetwork,
+    shards: list[NDArray[Any]],
+    category: Category,
+    loss: Callable[..., dict[str, Tensor]] = page_loss,
+    limit: int = 256,
 ) -> dict[str, float]:
     """Mean losses on the first `limit` validation frames, not augmented."""
     network.eval()
@@ -33,7 +38,7 @@ def validation_losses(
         chunk = records[start : start + 16]
         batch = make_batch(chunk, category, dense_points=1024, generator=generator, augmentation=None)
         outputs = network(batch.inputs, batch.dense)
-        for name, value in page_loss(outputs, settled_targets(batch.truth, batch.targets, outputs, category)).items():
+        for name, value in loss(outputs, settled_targets(batch.truth, batch.targets, outputs, category)).items():
             sums[name] = sums.get(name, 0.0) + float(value) * len(chunk)
     network.train()
     return {name: value / len(records) for name, value in sums.items()}
@@ -42,7 +47,7 @@ def validation_losses(
 @torch.no_grad()
 def validation_picture(network: PageNetwork, shards: list[NDArray[Any]], category: Category) -> NDArray[np.uint8]:
     """(H,W,3) RGB, the first frames in columns: their crops; the points in the colours of the parts they are taken for;
-    then in those of the error of their radii, from blue at 0 to red at a tenth of the part's diagonal."""
+    of a network of radii then in those of their error, from blue at 0 to red at a tenth of the part's diagonal."""
     network.eval()
     records = np.concatenate([np.array(shard[:_SHOWN]) for shard in shards])[:_SHOWN]
     generator = torch.Generator().manual_seed(0)
@@ -51,15 +56,15 @@ def validation_picture(network: PageNetwork, shards: list[NDArray[Any]], categor
     network.train()
     targets = settled_targets(batch.truth, batch.targets, outputs, category)
     labels = outputs.part_logits.argmax(-1)
-    own = targets.labels.clamp_max(len(category.parts) - 1)
-    error = (outputs.radii - targets.radii).abs().mean(-1)
-    share = (error / (0.1 * torch.take_along_dim(targets.diagonals, own, dim=1))).clamp(0.0, 1.0)
-    warm = torch.stack([share, torch.zeros_like(share), 1.0 - share], dim=-1) * 255
     of_part = torch.from_numpy(_COLORS)[labels % len(_COLORS)]
     crops = records["image"]
-    parts = _dotted(crops, batch, of_part, labels < len(category.parts))
-    errors = _dotted(crops, batch, warm, targets.labels < len(category.parts))
-    return np.vstack([np.hstack(list(row)) for row in (crops, parts, errors)])
+    rows = [crops, _dotted(crops, batch, of_part, labels < len(category.parts))]
+    if isinstance(outputs, NetworkOutputs):
+        error = (outputs.radii - targets.radii).abs().mean(-1, keepdim=True)
+        share = (error / own_unit(targets)).clamp(0.0, 1.0)
+        warm = torch.cat([share, torch.zeros_like(share), 1.0 - share], dim=-1) * 255
+        rows.append(_dotted(crops, batch, warm, targets.labels < len(category.parts)))
+    return np.vstack([np.hstack(list(row)) for row in rows])
 
 
 def _dotted(crops: NDArray[np.uint8], batch: Batch, colors: Tensor, shown: Tensor) -> NDArray[np.uint8]:

@@ -1,6 +1,7 @@
 """The neighbour search of the point branch: one implementation, used in training and on the device alike.
 
-Levels are prefixes of the progressive point order (sampling.py): level l is the first LEVELS[l] points.
+Levels are prefixes of the progressive point order (sampling.py), each a quarter of the one before. N, the first one's
+size, is the bundle's: 2,048 in those that are shipped.
 """
 
 from __future__ import annotations
@@ -11,21 +12,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-LEVELS = (2048, 512, 128, 32)
-# Points the network answers for, the first ones: a pose from the radii of 1,024 is as good as from those of all 2,048,
-# and the layers that look at single points cost half.
-ANSWERED = 1024
 GROUP_SIZE = 16
 INTERPOLATION_SIZE = 3
+# The third level's neighbourhoods take that many of the second one's points.
+MIN_POINTS = 16 * GROUP_SIZE
 # Distances in work at a time: more do not stay in the second cache.
 _BLOCK = 1 << 18
 # So few of so many points are found faster by as many minima than by a partition.
 _FEW, _MANY = 4, 256
 
 
+def levels_of(num_points: int) -> tuple[int, int, int, int]:
+    """The sizes of the four levels; ValueError where N points cannot be divided so."""
+    if num_points < MIN_POINTS or num_points % 64:
+        raise ValueError(f"num_points: expected a multiple of 64 from {MIN_POINTS} on, got {num_points}")
+    return num_points, num_points // 4, num_points // 16, num_points // 64
+
+
+def answered_of(num_points: int) -> int:
+    """Points the network answers for, the first ones: a pose from the radii of 1,024 is as good as from those of all
+    2,048, and the layers that look at single points cost half."""
+    return num_points // 2
+
+
+LEVELS = levels_of(2048)
+ANSWERED = answered_of(LEVELS[0])
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Neighbours:
-    """Indices into the finer (group) or the coarser (up) level, int32.
+    """Indices into the finer (group) or the coarser (up) level, int32. Of N = 2048 points:
 
     group1 (512,16) into 2048, group2 (128,16) into 512, group3 (32,16) into 128;
     up1 (A,3) into 512 of the first A points, up2 (512,3) into 128, up3 (128,3) into 32.
@@ -90,16 +106,17 @@ def _least(keys: NDArray[np.int32], count: int, mask: np.int32) -> NDArray[np.in
 
 
 def find_neighbours(
-    points: NDArray[np.float32], *, answered: int = ANSWERED, beside: Executor | None = None
+    points: NDArray[np.float32], *, answered: int | None = None, beside: Executor | None = None
 ) -> Neighbours:
-    """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision.
+    """Neighbour tables of points (N,3) in progressive order; centre the points first for precision.
 
-    answered: points at the start that get a row of up1. beside: a thread that makes the largest table meanwhile: 2.1 ms
-    instead of 2.9 on two cores.
+    answered: points at the start that get a row of up1, None for `answered_of` N. beside: a thread that makes the
+    largest table meanwhile: 2.1 ms instead of 2.9 on two cores.
     """
-    if points.shape != (LEVELS[0], 3):
-        raise ValueError(f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many")
-    level = [points[:count] for count in LEVELS]
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points: expected (N, 3), got {points.shape}")
+    level = [points[:count] for count in levels_of(len(points))]
+    answered = answered_of(len(points)) if answered is None else answered
     later = None if beside is None else beside.submit(nearest, level[1], level[0], GROUP_SIZE)
     group2, group3 = (nearest(level[i], level[i - 1], GROUP_SIZE) for i in (2, 3))
     up1 = nearest(level[0][:answered], level[1], INTERPOLATION_SIZE)

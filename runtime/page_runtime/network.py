@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleError, BundleMetadata
 from page_runtime.bundle_file import read_bundle
-from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, Neighbours, find_neighbours
+from page_runtime.neighbours import (
+    GROUP_SIZE,
+    INTERPOLATION_SIZE,
+    Neighbours,
+    answered_of,
+    find_neighbours,
+    levels_of,
+)
 from page_runtime.providers import CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described, resolved, short_name
 from page_runtime.sampling import RegionSample
 
@@ -120,21 +127,23 @@ class Network:
                 f"got {names} and {outputs}"
             )
         metadata = self.metadata
-        if metadata.num_points != LEVELS[0]:
-            raise BundleError(f"bundle {self.path}: expected num_points {LEVELS[0]}, got {metadata.num_points}")
+        try:
+            levels, answered = levels_of(metadata.num_points), answered_of(metadata.num_points)
+        except ValueError as error:
+            raise BundleError(f"bundle {self.path}: {error}") from error
         parts, keypoints = len(metadata.category.parts), metadata.category.num_keypoints
         full, size = metadata.num_points, metadata.image_size
         floats = {
             "image": [1, 3, size, size],
             "points": [1, full, 3],
             "pixels": [1, full, 2],
-            "part_logits": [1, ANSWERED, parts + 1],
-            "radii": [1, ANSWERED, keypoints],
-            "side_logits": [1, ANSWERED, metadata.category.num_voted],
+            "part_logits": [1, answered, parts + 1],
+            "radii": [1, answered, keypoints],
+            "side_logits": [1, answered, metadata.category.num_voted],
             "log_extents": [1, parts, 3],
         }
-        groups = {f"group{i}": [1, count, GROUP_SIZE] for i, count in enumerate(LEVELS[1:], 1)}
-        fine = (ANSWERED, *LEVELS[1:-1])
+        groups = {f"group{i}": [1, count, GROUP_SIZE] for i, count in enumerate(levels[1:], 1)}
+        fine = (answered, *levels[1:-1])
         ups = {f"up{i}": [1, count, INTERPOLATION_SIZE] for i, count in enumerate(fine, 1)}
         expected = {name: ("tensor(float)", shape) for name, shape in floats.items()}
         expected |= {name: ("tensor(int32)", shape) for name, shape in (groups | ups).items()}

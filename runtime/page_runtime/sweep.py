@@ -19,7 +19,7 @@ from page_runtime.sampling import Region
 from page_runtime.validation.comparison import Comparison, compared
 from page_runtime.validation.figures import pooled_figures
 
-# What may vary, and its unit. N and K are the bundle's: its graph is made for them.
+# What may vary, and its unit. N, S and K are the bundle's: benchmarks/latency_sweeps.py makes bundles of others.
 VARIES = {
     "threads": "threads",
     "rho": "voxel size rho, mm",
@@ -85,15 +85,15 @@ def run_sweep(
         found.append({
             "value": value,
             **{name: times[name] for name in ("stages", "total", "stability", "measurements")},
-            "errors": _errors(swept, frames, settings) if source.has_truth else None,
+            "errors": pooled_errors(swept, frames, settings) if source.has_truth else None,
         })  # fmt: skip
         on_step()
     cv2.setNumThreads(opencv_threads)
     return found
 
 
-def _errors(network: Network, source: Source, settings: dict[str, Any]) -> dict[str, Any]:
-    """Of all visible parts together: medians, and the share of failures."""
+def pooled_errors(network: Network, source: Source, settings: dict[str, Any]) -> dict[str, Any]:
+    """Of all visible parts together: medians, and the share of failures. settings: of `estimate`, by name."""
     category, comparisons = network.metadata.category, list[Comparison]()
     for recorded in source:
         for i, instance in enumerate(recorded.instances):

@@ -13,8 +13,9 @@ from page_calibration.commands.inputs import board_of, require_places, tell, wri
 from page_calibration.commands.words import camera_lines
 from page_calibration.intrinsics import IntrinsicCalibration, LensKind, calibrate_intrinsics
 from page_calibration.pictures import FoundViews, find_views
-from page_calibration.report import bars, coverage, note, page, table
+from page_calibration.report import bars, coverage, judged_page
 from page_calibration.views import tilt_spread_deg
+from page_runtime.report.page import note, table
 
 # A held-out error this much above the fit's own: the lens has more coefficients than the views can tell.
 MAX_HOLDOUT_RATIO = 1.5
@@ -74,8 +75,8 @@ def report_of(calibrated: CalibratedCamera, result: IntrinsicCalibration, found:
     rms = max(result.rms_px, 1e-3)
     magnified = float(10 ** np.floor(np.log10(0.02 * found.size[0] / rms)))
     sections = [
-        ("Camera", table(rows, header=("", "value", "standard deviation")) + note("Delete-one-view jackknife.")),
-        ("Fit", table(fit)),
+        ("Camera", table(("", "value", "standard deviation"), rows) + note("Delete-one-view jackknife.")),
+        ("Fit", table((), fit)),
         (
             "Where the corners were",
             coverage(found.size, [view.pixels for view in result.views], result.residuals_px, magnified=magnified),
@@ -83,5 +84,5 @@ def report_of(calibrated: CalibratedCamera, result: IntrinsicCalibration, found:
         ("Each view", bars([view.name for view in result.views], result.view_rms_px, unit="px")),
     ]
     if found.unused:
-        sections.append(("Pictures not used", table(found.unused)))
-    return page(f"Calibration of {calibrated.frame}", verdict(result), sections, is_good=is_good(result))
+        sections.append(("Pictures not used", table((), found.unused)))
+    return judged_page(f"Calibration of {calibrated.frame}", verdict(result), sections, is_good=is_good(result))

@@ -14,9 +14,10 @@ from page_calibration.commands.inputs import board_of, chosen_camera, require_pl
 from page_calibration.commands.words import camera_lines
 from page_calibration.extrinsics import deviations_of, locate_camera
 from page_calibration.pictures import find_views
-from page_calibration.report import coverage, note, page, table
+from page_calibration.report import coverage, judged_page
 from page_runtime.capture.documents import field, read_object
 from page_runtime.geometry import apply
+from page_runtime.report.page import note, table
 
 
 def extrinsics(
@@ -57,10 +58,10 @@ def extrinsics(
     shift_mm = pose.deviations[3:].max() * 1e3
     verdict = f"The camera is known to {shift_mm:.2f} mm in {world!r}, as far as its own K is right."
     sections = [
-        ("Place", table([(line,) for line in camera_lines(placed)])),
-        ("Fit", table([("fit", figures), ("board", f"{board}")])),
+        ("Place", table((), [(line,) for line in camera_lines(placed)])),
+        ("Fit", table((), [("fit", figures), ("board", f"{board}")])),
         ("Corners", coverage(found.size, [view.pixels for view in found.views], residuals, magnified=100.0)),
         ("Frames", note(f"T_camera_world maps from {world!r}: the board's frame unless --board-pose was given.")),
     ]
-    write_text(report, page(f"{placed.frame} in {world}", verdict, sections, is_good=True))
+    write_text(report, judged_page(f"{placed.frame} in {world}", verdict, sections, is_good=True))
     sys.stdout.write("\n".join([*camera_lines(placed), f"  fit      {figures}", verdict]) + "\n")

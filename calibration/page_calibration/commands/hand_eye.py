@@ -15,10 +15,11 @@ from page_calibration.commands.words import camera_lines
 from page_calibration.hand_eye import HandEye, Mount, solve_hand_eye
 from page_calibration.pictures import find_views
 from page_calibration.pose import board_pose
-from page_calibration.report import bars, note, page, table
+from page_calibration.report import bars, judged_page
 from page_calibration.robot_poses import read_poses
 from page_runtime.commands.usage import UsageError
 from page_runtime.geometry import Array, invert
+from page_runtime.report.page import note, table
 
 # Industrial arms repeat to a tenth of a millimetre; what is above this is a pose that does not belong to its picture.
 MAX_SCATTER_M = 0.005
@@ -84,11 +85,11 @@ def report_of(placed: CalibratedCamera, result: HandEye, names: list[str]) -> st
         ("moved by the refinement", f"{start:.2f} mm"),
     ]
     sections = [
-        ("Place", table([(line,) for line in camera_lines(placed)])),
-        ("Fit", table(rows) + note("Each pose says where the target is; the scatter is how far they disagree.")),
+        ("Place", table((), [(line,) for line in camera_lines(placed)])),
+        ("Fit", table((), rows) + note("Each pose says where the target is; the scatter is how far they disagree.")),
         ("Each pose", bars(names, result.scatter_m * 1e3, unit="mm")),
     ]
-    return page(f"{placed.frame} on {placed.world_frame}", verdict(result), sections, is_good=is_good(result))
+    return judged_page(f"{placed.frame} on {placed.world_frame}", verdict(result), sections, is_good=is_good(result))
 
 
 def _some(poses: dict[str, Array]) -> str:

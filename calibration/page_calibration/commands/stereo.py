@@ -13,8 +13,9 @@ from page_calibration.calibration import CalibratedCamera, Calibration, Calibrat
 from page_calibration.commands.inputs import board_of, chosen_camera, require_places, write_calibration, write_text
 from page_calibration.commands.words import camera_lines
 from page_calibration.pictures import find_views
-from page_calibration.report import bars, note, page, table
+from page_calibration.report import bars, judged_page
 from page_calibration.stereo import StereoCalibration, calibrate_stereo
+from page_runtime.report.page import note, table
 
 # Corners are found to a tenth of a pixel; a pixel off their epipolar lines is another rig, or a board that moved.
 MAX_EPIPOLAR_PX = 1.0
@@ -81,13 +82,13 @@ def report_of(calibration: Calibration, result: StereoCalibration) -> str:
         for i, axis in enumerate("xyz")
     ]
     b, a = calibration.frames[1], calibration.frames[0]
-    place = table(rows, header=(f"{a} in {b}", "shift", "standard deviation", "of the turn, degrees"))
+    place = table((f"{a} in {b}", "shift", "standard deviation", "of the turn, degrees"), rows)
     sections = [
         ("Place", place + note("Delete-one-pair jackknife.")),
         (
             "Fit",
-            table([("off epipolar lines, rms", f"{result.epipolar_px:.3f} px"), ("pairs", str(len(result.pairs)))]),
+            table((), [("off epipolar lines, rms", f"{result.epipolar_px:.3f} px"), ("pairs", str(len(result.pairs)))]),
         ),
         ("Each pair", bars(result.pairs, result.pair_rms_px, unit="px")),
     ]
-    return page(f"{b} to {a}", verdict(result), sections, is_good=result.epipolar_px <= MAX_EPIPOLAR_PX)
+    return judged_page(f"{b} to {a}", verdict(result), sections, is_good=result.epipolar_px <= MAX_EPIPOLAR_PX)

@@ -86,8 +86,9 @@ def cumulative(name: str, values: Sequence[float], count: int, limit: float) -> 
     return Series(name, np.linspace(0.0, limit, 161).tolist(), steps.tolist())
 
 
-def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, label_px: int = 96) -> str:
-    """A bar for each (name, value, whisker), the whisker at least the value. label_px: room for the names."""
+def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, label_px: int = 96, digits: int = 1) -> str:
+    """A bar for each (name, value, whisker), the whisker at least the value. label_px: room for the names. digits: of
+    the values, behind the point."""
     longest = max(*(high for _, _, high in rows), 1e-9) * 1.04
     left, step = label_px, 26
     height = step * len(rows) + 10
@@ -100,7 +101,7 @@ def bar_chart(rows: Sequence[tuple[str, float, float]], unit: str, *, label_px: 
             f'<rect x="{left}" y="{y + 2}" width="{value * scale:.1f}" height="15" rx="2" fill="var(--c0)"/>'
             f'<path d="M{left + value * scale:.1f} {y + 9.5}H{left + high * scale:.1f}" stroke="var(--soft)"/>'
             f'<path d="M{left + high * scale:.1f} {y + 5}v9" stroke="var(--soft)"/>'
-            f'<text x="{left + high * scale + 6:.1f}" y="{y + 13}">{value:.1f} {escape(unit)}</text>'
+            f'<text x="{left + high * scale + 6:.1f}" y="{y + 13}">{value:.{digits}f} {escape(unit)}</text>'
         )
     return _svg("".join(drawn), height)
 

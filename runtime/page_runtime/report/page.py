@@ -45,6 +45,7 @@ svg { width: 100%; height: auto; display: block; } svg text { fill: var(--soft);
 svg .axis { stroke: var(--soft); stroke-width: 1; } svg .grid { stroke: var(--rule); stroke-width: 1; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(19rem, 1fr)); gap: 1.2rem; }
 .pictures img { width: 100%; border-radius: .4rem; display: block; background: var(--panel); }
+.verdict { border-left: .35rem solid; padding-left: .7rem; }
 .good { color: var(--good); } .bad { color: var(--bad); } code { font-size: .85em; }
 .key { display: inline-block; width: .7em; height: .7em; border-radius: .15em; margin-right: .4em; }
 """
@@ -96,17 +97,17 @@ def page(title: str, subtitle: str, sections: Sequence[tuple[str, str]]) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str | Cell]], *, tall: bool = False) -> str:
-    """A table that sorts; text cells to the left, figures to the right. tall: of many rows, scrolls by itself."""
-    words = [all(isinstance(row[i], str) for row in rows) for i in range(len(header))]
-    head = "".join(f"<th{_class(is_words)}>{escape(name)}</th>" for name, is_words in zip(header, words, strict=True))
+    """A table that sorts; text cells to the left, figures to the right. header: () for a list of facts, which has
+    none. tall: of many rows, scrolls by itself."""
+    words = [all(isinstance(row[i], str) for row in rows) for i in range(len(header) or len(rows[0]))]
+    named = zip(header, words if header else (), strict=True)
+    head = "".join(f"<th{_class(is_words)}>{escape(name)}</th>" for name, is_words in named)
+    thead = f"<thead><tr>{head}</tr></thead>" if header else ""
     lines = "".join(
         f"<tr>{''.join(_cell(cell, is_words) for cell, is_words in zip(row, words, strict=True))}</tr>\n"
         for row in rows
     )
-    return (
-        f'<div class="{"tall" if tall else "scroll"}"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>\n{lines}</tbody></table></div>"
-    )
+    return f'<div class="{"tall" if tall else "scroll"}"><table>{thead}<tbody>\n{lines}</tbody></table></div>'
 
 
 def _class(is_words: bool) -> str:
@@ -135,6 +136,11 @@ def cards(items: Sequence[tuple[str, str, str]]) -> str:
             for name, value, more in items
         )
     )
+
+
+def verdict(text: str, *, is_good: bool) -> str:
+    """The sentence that a page is about."""
+    return f'<p class="verdict {"good" if is_good else "bad"}">{escape(text)}</p>'
 
 
 def note(text: str) -> str:
