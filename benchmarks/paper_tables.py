@@ -49,6 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from benchmarks import latency_sweeps
     from benchmarks.table_rows import figures_from, markdown, plots_from
     from benchmarks.table_steps import chosen, results_of
 
@@ -57,6 +58,9 @@ def _run(options: argparse.Namespace) -> int:
     figures = figures_from(results)
     write_tables(options.out, figures, markdown(figures, results), plots_from(figures))
     if options.readme:
+        # Times of other numbers of parts and points, kept step by step like the rest.
+        if latency_sweeps.main([]) != 0:
+            return EXIT_BAD_INPUT
         keep_for_readme(results)
     print(options.out / "tables.md")
     return 0

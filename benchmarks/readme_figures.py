@@ -37,10 +37,12 @@ def write_readme(path: Path = README) -> None:
 
 def with_figures(text: str) -> str:
     """The text with what lies between the markers of every section written anew."""
-    for name, section in SECTIONS.items():
-        begin, end = f"<!-- figures: {name} -->\n", f"<!-- end of figures: {name} -->"
+    markers = {name: (f"<!-- figures: {name} -->\n", f"<!-- end of figures: {name} -->") for name in SECTIONS}
+    for begin, end in markers.values():
         if text.count(begin) != 1 or text.count(end) != 1:
             raise ValueError(f"expected the markers {begin.strip()!r} and {end!r} once each; put them back")
+    for name, section in SECTIONS.items():
+        begin, end = markers[name]
         before, rest = text.split(begin)
         _, after = rest.split(end)
         text = f"{before}{begin}{section()}{end}{after}"
@@ -115,11 +117,23 @@ def latency() -> str:
     return f"{_table(header, rows)}\nMeasured on {'; '.join(machines)}.\n"
 
 
+def sweeps() -> str:
+    """Latency by parts beside the paper's time, of the last kept run of benchmarks/latency_sweeps.py."""
+    from benchmarks.sweep_tables import parts_table
+
+    path = RESULTS / "sweeps.json"
+    if not path.is_file():
+        return "No run of `benchmarks/latency_sweeps.py` is kept yet.\n"
+    document = _read(path)
+    return f"{parts_table(document)}\nMeasured on {document['cpu']}, {document['threads']} threads.\n"
+
+
 SECTIONS: dict[str, Callable[[], str]] = {
     "training": training,
     "accuracy": accuracy,
     "joints": joints,
     "latency": latency,
+    "sweeps": sweeps,
 }
 
 

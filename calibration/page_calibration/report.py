@@ -39,8 +39,7 @@ def coverage(size: tuple[int, int], pixels: Sequence[Array], residuals_px: Seque
             )
     grid = "".join(f'<path d="M{i * 200} 0V{height * scale:.0f}" class="grid"/>' for i in range(1, 4))
     grid += "".join(f'<path d="M0 {i * height * scale / 3:.0f}H800" class="grid"/>' for i in range(1, 3))
-    return (
-        f'<svg viewBox="0 0 800 {height * scale:.0f}" role="img">'
-        f'<rect width="800" height="{height * scale:.0f}" fill="none" stroke="var(--soft)"/>{grid}{"".join(marks)}</svg>'
-        + note(f"Corners found; red: found minus projected, {magnified:g} times as long.")
+    frame = f'<rect width="800" height="{height * scale:.0f}" fill="none" stroke="var(--soft)"/>'
+    return f'<svg viewBox="0 0 800 {height * scale:.0f}" role="img">{frame}{grid}{"".join(marks)}</svg>' + note(
+        f"Corners found; red: found minus projected, {magnified:g} times as long."
     )
