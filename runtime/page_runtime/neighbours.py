@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,16 +139,13 @@ def find_neighbours(
 ) -> Neighbours:
     """Neighbour tables of points (N,3) in progressive order, N = LEVELS[0]; centre the points first for precision.
 
-    answered: points at the start that get a row of up1. beside: a thread that takes its share of the work, as much as it
+    answered: points at the start that get a row of up1. beside: a thread that takes a share of the work, as much as it
     gets done; where it comes late it delays nothing.
     """
     if points.shape != (LEVELS[0], 3):
         raise ValueError(f"points: expected ({LEVELS[0]}, 3), got {points.shape}; sample_region gives that many")
     asked, known = _as_queries(points), _as_points(points)
-    groups = [
-        _Search.of(asked[:coarse], known[:, :fine], GROUP_SIZE)
-        for fine, coarse in zip(LEVELS[:-1], LEVELS[1:], strict=True)
-    ]
+    groups = [_Search.of(asked[:coarse], known[:, :fine], GROUP_SIZE) for fine, coarse in pairwise(LEVELS)]
     ups = [
         _Search.of(asked[:fine], known[:, :coarse], INTERPOLATION_SIZE)
         for fine, coarse in zip((answered, *LEVELS[1:-1]), LEVELS[1:], strict=True)
