@@ -134,7 +134,7 @@ def abstracted(layer: SetAbstraction, places: Tensor, features: list[Tensor], in
     source = places @ affine(weight, bias)
     if layer.feature is not None:
         source = source + summed(layer.feature.weight, features)
-    centers = places[:count] @ affine(weight, torch.zeros_like(bias))
+    centers = places[:count, :3] @ weight.t()
     edges = functional.relu(functional.embedding(index, source) - centers.unsqueeze(1))
     # The bias is the same for all neighbours: once a group, after their maximum.
     edges = (edges.view(group * count, -1) @ layer.edge.weight.t()).view(count, group, -1)

@@ -4,9 +4,11 @@ The same weights and the same numbers as `page_training.network.PageNetwork` in 
 float32 (a test compares every category, and `page-export onnx` every network it exports), in another order:
 
 - Two dimensions, points by channels: a batch dimension costs a Reshape before and after every product.
-- A linear layer of things side by side is the sum of one product each, accumulated in place, without writing them side
-  by side; a layer of interpolated things is interpolated after the layer, where there are fewer points. The weights of
-  an interpolation sum to one.
+- A linear layer of things side by side is the sum of one product each, without writing them side by side; a layer of
+  interpolated things is interpolated after the layer, where there are fewer points. The weights of an interpolation
+  sum to one.
+- A bias is not part of a large product, before which one thread would write it: it is a weight of a 1 beside the
+  coordinates, or is added after a maximum, or by itself.
 - What is mixed by part (frames, guesses, vectors) is mixed by products with the parts' shares.
 - Layers of the same input are one product; corners of all maps are found together.
 
@@ -78,7 +80,8 @@ class EdgeNetwork(nn.Module):
         self.register_buffer(
             "last_bias", torch.cat([x.bias for x in (network.parts, network.sides, network.keypoints)])
         )
-        self.register_buffer("one", torch.ones(LEVELS[0], 1))
+        self.register_buffer("coordinates", torch.eye(4, 3))
+        self.register_buffer("one", torch.tensor([0.0, 0.0, 0.0, 1.0]))
 
     def forward(
         self,
@@ -95,7 +98,7 @@ class EdgeNetwork(nn.Module):
         net = self.network
         parts, count = net.num_parts, net.num_keypoints
         points, pixels = points[0], pixels[0, :ANSWERED]
-        places = torch.cat([points, self.one], dim=1)
+        places = functional.linear(points, self.coordinates, self.one)
         first, second, third = (points[:n] for n in LEVELS[1:])
         maps = [y.flatten(2)[0].t() for y in net.image_branch(image)]
         corners = self.sampler(pixels)
@@ -173,6 +176,7 @@ class EdgeNetwork(nn.Module):
     raise_guess: Tensor
     last: Tensor
     last_bias: Tensor
+    coordinates: Tensor
     one: Tensor
 
 
