@@ -31,6 +31,12 @@ def main(arguments: list[str] | None = None) -> int:
         required=True,
         help="regions to compare bundle and checkpoint on; nothing is written when they differ",
     )
+    onnx.add_argument(
+        "--batch",
+        default="1",
+        metavar="N|dynamic",
+        help="objects in a run; other than 1 for accelerators and programs of your own: page-runtime loads 1 only",
+    )
     onnx.add_argument("--note", default="", help="a line for the bundle's provenance")
     onnx.set_defaults(run_command=_onnx)
     verify = commands.add_parser(
@@ -122,6 +128,7 @@ def _commit() -> str:
 
 
 def _onnx(options: argparse.Namespace) -> int:
+    from page_export.batched import Batch, batched_run
     from page_export.onnx_export import graph_of, write_bundle
     from page_export.parity import checkpoint_run, compare, samples_of
     from page_runtime.capture.playback import open_source
@@ -129,6 +136,7 @@ def _onnx(options: argparse.Namespace) -> int:
     from page_training.templates import with_templates
     from page_training.trained import load_trained
 
+    batch = None if options.batch == "1" else Batch.parsed(options.batch)
     trained = load_trained(options.checkpoint)
     training = trained.config
     mirrored = trained.category.joints_mirror and training["augmentation"]["flip_probability"] > 0.0
@@ -139,15 +147,16 @@ def _onnx(options: argparse.Namespace) -> int:
         "training": training,
         "note": options.note,
     }
+    if batch is not None:
+        provenance["batch"] = str(batch)
     category = with_templates(trained.category)
-    model = graph_of(trained.network)
+    model = graph_of(trained.network) if batch is None else batch.graph_of(trained.network)
     with TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.onnx"
-        write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
-        bundle = Network(trial, threads=1)
-        run = checkpoint_run(bundle.metadata, trained.network)
-        samples = samples_of(bundle.metadata, open_source(options.compare_on))
-        parity = compare(bundle.metadata, bundle.run_raw, run, samples)
+        metadata = write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
+        ours = Network(trial, threads=1).run_raw if batch is None else batched_run(trial.read_bytes(), metadata, batch)
+        samples = samples_of(metadata, open_source(options.compare_on))
+        parity = compare(metadata, ours, checkpoint_run(metadata, trained.network), samples)
     code = _report(parity)
     if code == 0:
         provenance["parity"] = _kept(parity, options.checkpoint, options.compare_on)

@@ -11,6 +11,7 @@ from typing import Any
 import onnx
 import torch
 from torch import Tensor, nn
+from torch.export import Dim
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from page_export.bundle_writer import bundle_bytes, write_file
@@ -76,9 +77,16 @@ def graph_of(network: PageNetwork) -> onnx.ModelProto:
 
 
 def exported(
-    module: nn.Module, examples: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
+    module: nn.Module,
+    examples: tuple[Tensor, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    free: dict[int, Dim] | None = None,
 ) -> onnx.ModelProto:
-    """A module as a checked ONNX model of standard operators; ValueError where others would be needed."""
+    """A module as a checked ONNX model of standard operators; ValueError where others would be needed.
+
+    free: dimensions, the same of all inputs, that are not those of the examples but known when it runs.
+    """
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with torch.no_grad():
         program = torch.onnx.export(
@@ -87,6 +95,7 @@ def exported(
             input_names=list(inputs),
             output_names=list(outputs),
             opset_version=OPSET,
+            dynamic_shapes=None if free is None else (tuple(free for _ in examples),),
             dynamo=True,
             verbose=False,
         )
@@ -101,8 +110,9 @@ def exported(
 
 def write_bundle(
     model: onnx.ModelProto, category: Category, path: Path, *, mirrored: bool, provenance: dict[str, Any]
-) -> None:
-    """Write model and metadata as one file, whole or not at all; mirrored as in `BundleMetadata`."""
+) -> BundleMetadata:
+    """Write model and metadata, which are given back, as one file, whole or not at all; mirrored as in
+    `BundleMetadata`."""
     metadata = BundleMetadata(
         category=category,
         num_points=LEVELS[0],
@@ -113,3 +123,4 @@ def write_bundle(
         provenance=provenance,
     )
     write_file(bundle_bytes(model, metadata), path)
+    return metadata

@@ -160,8 +160,8 @@ class PageNetwork(nn.Module):
         color = torch.cat([sample_bilinear(y, pixels, self.image_size) for y in (y4, y8)], dim=-1)
         fused = self.head(self.fuser(g0, color))
         # Corrections in the part's frame and in parts of its diagonal, turned back.
-        correction = self.keypoints(fused).view(len(points), 1, -1, 3) @ frames.axes
-        correction = (owner * correction.view(len(points), self.num_parts, fused.shape[1], -1)).sum(dim=1)
+        correction = self.keypoints(fused).view(points.shape[0], 1, -1, 3) @ frames.axes
+        correction = (owner * correction.view(points.shape[0], self.num_parts, fused.shape[1], -1)).sum(dim=1)
         keypoints = interpolate_up(points, level[1], refined, up1) + correction
         keypoints = keypoints.view(*fused.shape[:2], self.num_keypoints, 3)
         radii = (keypoints - points.unsqueeze(2)).square().sum(-1).clamp_min(1e-8).sqrt()
