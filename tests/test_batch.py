@@ -1,4 +1,4 @@
-"""A network for several objects at once says of each what it says of it alone; the runtime, which takes one, says so."""
+"""A network for several objects at once says of each what it says of it alone; the runtime refuses it in words."""
 
 from __future__ import annotations
 
