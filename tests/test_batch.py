@@ -71,7 +71,7 @@ def test_of_several_objects_it_says_what_it_says_of_each_alone(dynamic: onnx.Mod
     free, fixed = (
         ort.InferenceSession(one.SerializeToString(), providers=["CPUExecutionProvider"]) for one in (dynamic, two)
     )
-    alone = [free.run(OUTPUT_NAMES, one) for one in given]
+    alone = [[np.asarray(value) for value in free.run(OUTPUT_NAMES, one)] for one in given]
     for session, chosen in ((free, (0, 1, 2)), (free, (2, 1)), (fixed, (0, 1)), (fixed, (2, 0))):
         stacked = {name: np.concatenate([given[k][name] for k in chosen]) for name in INPUT_NAMES}
         for nth, together in enumerate(map(np.asarray, session.run(OUTPUT_NAMES, stacked))):

@@ -235,8 +235,8 @@ def test_a_file_that_is_not_a_bundle_is_refused_with_the_reason(bundle: Path, tm
 
 def parity_with(undecided: int) -> Parity:
     same = Difference(0.0, 0.0)
-    outputs = dict.fromkeys(OUTPUT_NAMES, same)
-    return Parity(50, outputs, same, same, disagreements=0, undecided=undecided, parts=200)
+    names: list[str] = list(OUTPUT_NAMES)
+    return Parity(50, dict.fromkeys(names, same), same, same, disagreements=0, undecided=undecided, parts=200)
 
 
 def test_parts_that_toss_a_coin_are_told_in_words_and_are_few() -> None:
