@@ -12,7 +12,18 @@ import torch
 from page_export.cli import main
 from page_export.edge_network import EdgeNetwork
 from page_export.onnx_export import OPSET, RuntimeSignature, example_inputs, folded, graph_of, write_bundle
-from page_export.parity import checkpoint_run, compare, samples_of
+from page_export.parity import (
+    MAX_OUTPUT_DIFFERENCE,
+    MAX_ROTATION_DEG,
+    MAX_TRANSLATION_MM,
+    MAX_UNDECIDED_SHARE,
+    Difference,
+    Parity,
+    checkpoint_run,
+    compare,
+    samples_of,
+)
+from page_export.parity_commands import table
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata, category_document
 from page_runtime.capture.playback import open_source
 from page_runtime.neighbours import find_neighbours
@@ -220,3 +231,26 @@ def test_a_file_that_is_not_a_bundle_is_refused_with_the_reason(bundle: Path, tm
     spoil(bundle, path)
     with pytest.raises(BundleError, match=word):
         Network(path)
+
+
+def parity_with(undecided: int) -> Parity:
+    same = Difference(0.0, 0.0)
+    names: list[str] = list(OUTPUT_NAMES)
+    return Parity(50, dict.fromkeys(names, same), same, same, disagreements=0, undecided=undecided, parts=200)
+
+
+def test_parts_that_toss_a_coin_are_told_in_words_and_are_few() -> None:
+    assert parity_with(4).holds
+    assert not parity_with(5).holds
+    assert "4 parts (2.0 %, at most 2 %) are undecided and left out: two fits" in table(parity_with(4))
+    assert "undecided" not in table(parity_with(0))
+
+
+@pytest.mark.parametrize("command", ["onnx", "verify"])
+def test_help_states_the_bounds_of_a_comparison(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"agrees to {MAX_OUTPUT_DIFFERENCE:g}".replace("0.0001", "1e-4") in told
+    assert f"every pose to {MAX_ROTATION_DEG:g} deg and {MAX_TRANSLATION_MM:g} mm" in told
+    assert f"at most {100 * MAX_UNDECIDED_SHARE:g} % of all" in told

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from page_runtime.neighbours import nearest
+from page_runtime.neighbours import LEVELS, find_neighbours, nearest
 
 
 @pytest.mark.parametrize("count", [1, 3, 4, 5, 16])
@@ -33,3 +37,19 @@ def test_of_points_in_one_place_the_first_are_taken() -> None:
     for count in (3, 16):
         found = nearest(cloud[:5], cloud, count)
         np.testing.assert_array_equal(np.sort(found, axis=1), np.tile(np.arange(count), (5, 1)))
+
+
+def test_a_second_thread_changes_no_table_and_is_not_waited_for() -> None:
+    points = np.random.default_rng(0).normal(0.0, 0.25, (LEVELS[0], 3)).astype(np.float32)
+    alone = find_neighbours(points)
+    with ThreadPoolExecutor(1) as beside:
+        free = threading.Event()
+        shared = [find_neighbours(points, beside=beside) for _ in range(20)]
+        beside.submit(free.wait)
+        late = find_neighbours(points, beside=beside)
+        free.set()
+    for found in (*shared, late):
+        for table in fields(alone):
+            np.testing.assert_array_equal(
+                np.sort(getattr(found, table.name), axis=1), np.sort(getattr(alone, table.name), axis=1)
+            )

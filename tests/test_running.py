@@ -80,7 +80,7 @@ def test_a_network_says_what_it_runs_on(oracle_bundle: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--provider", "coreml", "--require-provider"], "provider coreml: this onnxruntime does not have it"),
+        (["--provider", "coreml", "--require"], "provider coreml: this onnxruntime does not have it"),
         (["--provider", "cpu", "--provider-option", "threads"], "--provider-option: expected KEY=VALUE"),
         (["--provider", "abacus"], "--provider"),
     ],

@@ -141,7 +141,8 @@ def test_gathering_and_maximum_equal_their_plain_forms() -> None:
     torch.testing.assert_close(group_maximum(gathered), expected.amax(dim=2))
     assert torch.autograd.gradcheck(lambda x: group_maximum(gather_rows(x, index)), (features,))
     weight = torch.rand(3, 7, 4, dtype=torch.double)
-    torch.testing.assert_close(weighted_rows(features, index, weight), (gathered * weight.unsqueeze(-1)).sum(dim=2))
+    for given in (features, features.detach()):
+        torch.testing.assert_close(weighted_rows(given, index, weight), (gathered * weight.unsqueeze(-1)).sum(dim=2))
     assert torch.autograd.gradcheck(lambda x: weighted_rows(x, index, weight), (features,))
 
 

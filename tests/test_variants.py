@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -11,10 +12,12 @@ import pytest
 from onnx import helper, numpy_helper
 
 from page_export.bundle_writer import bundle_bytes
+from page_export.mixed import GroupCost, grouped, search
 from page_export.optimisation import Latency, Measured, recommended
+from page_export.optimise_command import search_table
 from page_export.parity import samples_of
 from page_export.profile import profiled
-from page_export.variants import chosen_for_calibration, variants, without_dead_ends
+from page_export.variants import Forms, chosen_for_calibration, without_dead_ends
 from page_runtime.bundle_file import read_bundle
 from page_runtime.capture.playback import open_source
 from page_runtime.neighbours import find_neighbours
@@ -32,12 +35,47 @@ def test_a_form_is_a_bundle_that_says_nearly_the_same(form: str, most_bytes: flo
     metadata = read_bundle(SHIPPED).metadata
     samples = list(samples_of(metadata, open_source(RECORDING)))
     path = tmp_path / "form.onnx"
-    path.write_bytes(bundle_bytes(variants(SHIPPED, metadata, samples[1:3])[form](), metadata))
+    forms = Forms(SHIPPED, metadata, samples[1:3], tmp_path)
+    model = {"fp16": forms.half, "int8-dynamic": forms.dynamic, "int8-static": forms.static}[form]()
+    path.write_bytes(bundle_bytes(model, metadata))
     assert path.stat().st_size < most_bytes
     one, other = (Network(bundle, threads=1).run(*samples[0]) for bundle in (SHIPPED, path))
     near = one.radii_m.std()
     assert float(np.median(np.abs(one.radii_m - other.radii_m))) < 0.25 * near
     assert not np.array_equal(one.radii_m, other.radii_m)
+
+
+class FewLayers(Forms):
+    """Of the image's first maps only: each group costs a second."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.layers = self.layers[:2]
+
+
+def test_a_search_measures_every_group_and_takes_none_over_the_limit(tmp_path: Path) -> None:
+    metadata = read_bundle(SHIPPED).metadata
+    source = open_source(RECORDING)
+    truths = [one.truths for recorded in source for one in recorded.instances if one.region is not None]
+    samples = list(samples_of(metadata, source))
+    true_samples = [(given, truth) for given, truth in zip(samples, truths, strict=True) if truth is not None][:2]
+    forms = FewLayers(SHIPPED, metadata, samples[2:4], tmp_path)
+    groups = grouped(forms.layers)
+    assert sum(len(layers) for layers in groups.values()) == len(forms.layers)
+    found = search(SHIPPED, metadata, forms, true_samples, tmp_path, bound=0.0)
+    assert {one.name for one in found.groups} == set(groups)
+    assert [one.error for one in found.groups] == sorted(one.error for one in found.groups)
+    assert all(one.saved_bytes > 0 or one.multiplications < 1e7 for one in found.groups)
+    assert found.chosen == ()
+    assert "no int8-mixed" in search_table(found, 0.0)
+
+
+def test_a_group_is_worth_8_bits_where_it_is_quicker_and_poses_hold() -> None:
+    good = GroupCost("maps", 2, 1e7, 1000, 0.9, 1.05, 0.0)
+    assert (good.pays, good.harmless(1.1), good.harmless(1.0)) == (True, True, False)
+    assert not replace(good, time=0.99).pays
+    assert not replace(good, more_failures=0.02).harmless(1.1)
+    assert not replace(good, error=float("nan")).harmless(1.1)
 
 
 def test_what_no_output_needs_is_left_out_and_the_answer_stays(

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import shutil
-import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from page_export.parity import Parity
+# Bounds of `parity`, which is not imported before it is needed; a test holds them together.
+_PARITY = """The two are the same network where every output agrees to 1e-4 (above 1: of its value), every pose to
+0.02 deg and 0.1 mm, and both give poses for the same parts. Parts whose pose is a toss-up are "undecided" and left out,
+at most 2 % of all: where two fits are as good as each other, the last digits decide which is taken, and the
+checkpoint's own pose moves by more than these bounds when its outputs are changed by no more than the two networks
+differ. Exit code 1 where they are not the same."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run page-export; returns the exit code: 0 done, 1 the bundle differs from the checkpoint, 2 bad input."""
     parser = argparse.ArgumentParser(prog="page-export", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    onnx = commands.add_parser("onnx", help="export a checkpoint and compare it with the bundle written")
+    onnx = commands.add_parser(
+        "onnx", help="export a checkpoint and compare it with the bundle written", description=_PARITY
+    )
     onnx.add_argument("checkpoint", type=Path)
     onnx.add_argument("-o", "--output", type=Path, required=True, help="the .onnx bundle to write")
     onnx.add_argument(
@@ -31,10 +32,16 @@ def main(arguments: list[str] | None = None) -> int:
         required=True,
         help="regions to compare bundle and checkpoint on; nothing is written when they differ",
     )
+    onnx.add_argument(
+        "--batch",
+        default="1",
+        metavar="N|dynamic",
+        help="objects in a run; other than 1 for accelerators and programs of your own: page-runtime loads 1 only",
+    )
     onnx.add_argument("--note", default="", help="a line for the bundle's provenance")
     onnx.set_defaults(run_command=_onnx)
     verify = commands.add_parser(
-        "verify", help="compare a bundle with its checkpoint on a recording; kept in the bundle"
+        "verify", help="compare a bundle with its checkpoint on a recording; kept in the bundle", description=_PARITY
     )
     verify.add_argument("bundle", type=Path)
     verify.add_argument("--against", type=Path, required=True, metavar="CHECKPOINT")
@@ -96,99 +103,16 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
 
 
-def _report(parity: Parity) -> int:
-    document = parity.document()
-    print(f"{'':14s} {'max':>9s} {'mean':>9s} {'bound':>9s}")
-    rows = [*document["outputs"].items(), *((name, document[name]) for name in ("rotation_deg", "translation_mm"))]
-    for name, row in rows:
-        print(f"{name:14s} {row['max']:9.2e} {row['mean']:9.2e} {row['bound']:9.2e}")
-    print(
-        f"{parity.samples} samples, {parity.parts} parts: {parity.disagreements} with a pose from only one of the two, "
-        f"{parity.undecided} left out as the checkpoint's own pose jumps as far at so small a change"
-    )
-    print("same network" if parity.holds else "NOT the same network")
-    return 0 if parity.holds else 1
-
-
-def _commit() -> str:
-    """The commit exported from, "-dirty" with changes, or why it is not known."""
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True, timeout=10
-        )
-    except (OSError, subprocess.SubprocessError):
-        return "unknown: not exported from a git work tree"
-    return described.stdout.strip()
-
-
 def _onnx(options: argparse.Namespace) -> int:
-    from page_export.onnx_export import graph_of, write_bundle
-    from page_export.parity import checkpoint_run, compare, samples_of
-    from page_runtime.capture.playback import open_source
-    from page_runtime.network import Network
-    from page_training.templates import with_templates
-    from page_training.trained import load_trained
+    from page_export import parity_commands
 
-    trained = load_trained(options.checkpoint)
-    training = trained.config
-    mirrored = trained.category.joints_mirror and training["augmentation"]["flip_probability"] > 0.0
-    provenance: dict[str, Any] = {
-        "trained_on": "procedural scenes only",
-        "commit": _commit(),
-        "frames_seen": trained.samples,
-        "training": training,
-        "note": options.note,
-    }
-    category = with_templates(trained.category)
-    model = graph_of(trained.network)
-    with TemporaryDirectory() as folder:
-        trial = Path(folder) / "trial.onnx"
-        write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
-        bundle = Network(trial, threads=1)
-        run = checkpoint_run(bundle.metadata, trained.network)
-        samples = samples_of(bundle.metadata, open_source(options.compare_on))
-        parity = compare(bundle.metadata, bundle.run_raw, run, samples)
-    code = _report(parity)
-    if code == 0:
-        provenance["parity"] = _kept(parity, options.checkpoint, options.compare_on)
-        write_bundle(model, category, options.output, mirrored=mirrored, provenance=provenance)
-        print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
-    return code
+    return parity_commands.onnx(options)
 
 
 def _verify(options: argparse.Namespace) -> int:
-    import onnx
+    from page_export import parity_commands
 
-    from page_export.bundle_writer import bundle_bytes, write_file
-    from page_export.parity import checkpoint_run, compare, samples_of
-    from page_runtime.capture.playback import open_source
-    from page_runtime.network import Network
-    from page_training.trained import load_trained
-
-    if options.frames < 1:
-        raise ValueError(f"--frames: expected at least 1, got {options.frames}")
-    bundle = Network(options.bundle, threads=1)
-    metadata, trained = bundle.metadata, load_trained(options.against)
-    if trained.category.name != metadata.category.name:
-        raise ValueError(
-            f"{options.bundle} is for {metadata.category.name!r}, {options.against} for {trained.category.name!r}"
-        )
-    samples = samples_of(metadata, open_source(options.data), options.frames)
-    parity = compare(metadata, bundle.run_raw, checkpoint_run(metadata, trained.network), samples)
-    code = _report(parity)
-    kept = _kept(parity, options.against, options.data)
-    if options.json is not None:
-        write_file((json.dumps(kept, indent=1) + "\n").encode(), options.json)
-    if code == 0:
-        stated = replace(metadata, provenance={**metadata.provenance, "parity": kept})
-        write_file(bundle_bytes(onnx.load(options.bundle), stated), options.bundle)
-    return code
-
-
-def _kept(parity: Parity, checkpoint: Path, data: Path) -> dict[str, Any]:
-    """What a bundle keeps of a comparison: of what with what, too."""
-    digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-    return {"checkpoint_sha256": digest, "data": data.resolve().name, **parity.document()}
+    return parity_commands.verify(options)
 
 
 def _optimise(options: argparse.Namespace) -> int:

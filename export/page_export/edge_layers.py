@@ -76,14 +76,21 @@ def weighted(rows: Tensor, index: Tensor, weight: Tensor) -> Tensor:
     return (weight.unsqueeze(1) @ functional.embedding(index, rows)).squeeze(1)
 
 
+def affine(weight: Tensor, bias: Tensor) -> Tensor:
+    """(I+1,O), whose product with [x, 1] is the layer's of x (P,I)."""
+    return torch.cat([weight.t(), bias[None]])
+
+
+def summed(weight: Tensor, pieces: list[Tensor]) -> Tensor:
+    """Products of pieces (P,C_i) side by side with weight (O, sum of C_i)."""
+    weights = weight.split([piece.shape[1] for piece in pieces], dim=1)
+    first, *others = (piece @ part.t() for piece, part in zip(pieces, weights, strict=True))
+    return sum(others, start=first)
+
+
 def linear(layer: nn.Linear, pieces: list[Tensor]) -> Tensor:
     """The layer of pieces (P,C_i) side by side."""
-    widths = [piece.shape[1] for piece in pieces]
-    first, *others = layer.weight.split(widths, dim=1)
-    total = functional.linear(pieces[0], first, layer.bias)
-    for piece, weight in zip(pieces[1:], others, strict=True):
-        total = torch.addmm(total, piece, weight.t())
-    return total
+    return summed(layer.weight, pieces) + layer.bias
 
 
 def dense(layer: nn.Module, pieces: list[Tensor]) -> Tensor:
@@ -92,6 +99,15 @@ def dense(layer: nn.Module, pieces: list[Tensor]) -> Tensor:
     product, norm = layer[0], layer[1]
     assert isinstance(product, nn.Linear)
     return functional.relu(norm(linear(product, pieces)))
+
+
+def dense_with_places(layer: nn.Module, features: Tensor, places: Tensor, scale: float) -> Tensor:
+    """`Dense` of features (P,C) and, side by side, coordinates counted in `scale`: those of places (P,4), [x, 1]."""
+    assert isinstance(layer, Dense)
+    product, norm = layer[0], layer[1]
+    assert isinstance(product, nn.Linear)
+    weight = product.weight
+    return functional.relu(norm(features @ weight[:, :-3].t() + places @ affine(weight[:, -3:] / scale, product.bias)))
 
 
 def fused(fuser: nn.Module, geometry: Tensor, color: Tensor) -> list[Tensor]:
@@ -110,20 +126,19 @@ def fused(fuser: nn.Module, geometry: Tensor, color: Tensor) -> list[Tensor]:
     return [fuser(geometry, color)]
 
 
-def abstracted(layer: SetAbstraction, points: Tensor, features: list[Tensor], index: Tensor) -> Tensor:
-    """`SetAbstraction` of points (P,3) with features (P,C_i), index (F,16)."""
+def abstracted(layer: SetAbstraction, places: Tensor, features: list[Tensor], index: Tensor) -> Tensor:
+    """`SetAbstraction` of places (P,4), [x, 1], with features (P,C_i), index (F,16)."""
     count, group = index.shape
     weight = layer.position.weight / layer.radius
     bias = layer.position.bias if layer.feature is None else layer.position.bias + layer.feature.bias
-    source = functional.linear(points, weight, bias)
+    source = places @ affine(weight, bias)
     if layer.feature is not None:
-        weights = layer.feature.weight.split([piece.shape[1] for piece in features], dim=1)
-        for piece, part in zip(features, weights, strict=True):
-            source = torch.addmm(source, piece, part.t())
-    centers = functional.linear(points[:count], weight)
+        source = source + summed(layer.feature.weight, features)
+    centers = places[:count, :3] @ weight.t()
     edges = functional.relu(functional.embedding(index, source) - centers.unsqueeze(1))
-    edges = layer.edge(edges.view(group * count, -1)).view(count, group, -1)
-    return functional.relu(layer.norm(edges.amax(dim=1)))
+    # The bias is the same for all neighbours: once a group, after their maximum.
+    edges = (edges.view(group * count, -1) @ layer.edge.weight.t()).view(count, group, -1)
+    return functional.relu(layer.norm(edges.amax(dim=1) + layer.edge.bias))
 
 
 def interpolated(fine: Tensor, coarse: Tensor, features: Tensor, index: Tensor) -> Tensor:
@@ -142,8 +157,6 @@ def propagated(
     index: Tensor,
 ) -> Tensor:
     """`FeaturePropagation` with the fine level's own features in pieces."""
-    before = functional.linear(coarse, layer.from_coarse.weight, layer.from_fine.bias)
-    total = interpolated(fine_points, coarse_points, before, index)
-    for piece, weight in zip(fine, layer.from_fine.weight.split([p.shape[1] for p in fine], dim=1), strict=True):
-        total = torch.addmm(total, piece, weight.t())
+    before = coarse @ layer.from_coarse.weight.t() + layer.from_fine.bias
+    total = interpolated(fine_points, coarse_points, before, index) + summed(layer.from_fine.weight, fine)
     return functional.relu(layer.norm(total))

@@ -11,6 +11,7 @@ from typing import Any
 import onnx
 import torch
 from torch import Tensor, nn
+from torch.export import Dim
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from page_export.bundle_writer import bundle_bytes, write_file
@@ -79,9 +80,16 @@ def graph_of(network: PageNetwork, num_points: int = LEVELS[0]) -> onnx.ModelPro
 
 
 def exported(
-    module: nn.Module, examples: tuple[Tensor, ...], inputs: Sequence[str], outputs: Sequence[str]
+    module: nn.Module,
+    examples: tuple[Tensor, ...],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    free: dict[int, Dim] | None = None,
 ) -> onnx.ModelProto:
-    """A module as a checked ONNX model of standard operators; ValueError where others would be needed."""
+    """A module as a checked ONNX model of standard operators; ValueError where others would be needed.
+
+    free: dimensions, the same of all inputs, that are not those of the examples but known when it runs.
+    """
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with torch.no_grad():
         program = torch.onnx.export(
@@ -90,6 +98,7 @@ def exported(
             input_names=list(inputs),
             output_names=list(outputs),
             opset_version=OPSET,
+            dynamic_shapes=None if free is None else (tuple(free for _ in examples),),
             dynamo=True,
             verbose=False,
         )
@@ -111,8 +120,9 @@ def write_bundle(
     provenance: dict[str, Any],
     num_points: int = LEVELS[0],
     image_size: int = IMAGE_SIZE,
-) -> None:
-    """Write model and metadata as one file, whole or not at all; all but `model` as in `BundleMetadata`."""
+) -> BundleMetadata:
+    """Write model and metadata, which are given back, as one file, whole or not at all; all but `model` as in
+    `BundleMetadata`."""
     metadata = BundleMetadata(
         category=category,
         num_points=num_points,
@@ -123,3 +133,4 @@ def write_bundle(
         provenance=provenance,
     )
     write_file(bundle_bytes(model, metadata), path)
+    return metadata

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rich.progress import Progress
 
 from page_export.bundle_writer import bundle_bytes, write_file
+from page_export.mixed import SEARCH_FRAMES, Search, grouped, search
 from page_export.optimisation import Measured, TrueSample, measure, recommended
-from page_export.parity import Inputs
-from page_export.variants import CALIBRATION_FRAMES, chosen_for_calibration, variants
+from page_export.variants import CALIBRATION_FRAMES, Forms, chosen_for_calibration
 from page_runtime.bundle_file import read_bundle
 from page_runtime.capture.playback import open_source
 from page_runtime.estimator import sample_for
@@ -26,17 +28,35 @@ def run(options: argparse.Namespace) -> int:
     """Write the forms, measure all, keep those that are not refused; ValueError for what cannot be measured."""
     metadata = read_bundle(options.bundle).metadata
     tested, others = _samples(options.bundle, options.data, options.frames)
-    calibration = chosen_for_calibration(others, CALIBRATION_FRAMES)
-    made = {"fp32": options.bundle}
-    for name, make in variants(options.bundle, metadata, calibration).items():
-        path = options.output / f"{options.bundle.stem}.{name}.onnx"
-        provenance = {**metadata.provenance, "form": f"{name} of {options.bundle.name}"}
-        write_file(bundle_bytes(make(), replace(metadata, provenance=provenance)), path)
-        made[name] = path
-    with Progress(disable=not sys.stderr.isatty()) as progress:
+    calibration = chosen_for_calibration([given for given, _ in others], CALIBRATION_FRAMES)
+    with TemporaryDirectory() as name, Progress(disable=not sys.stderr.isatty()) as progress:
+        folder = Path(name)
+        forms = Forms(options.bundle, metadata, calibration, folder)
+        logging.disable(logging.WARNING)  # the converter's advice, which is not for who runs this
+        searching = progress.add_task(f"{len(grouped(forms.layers))} groups of layers in 8 bits", total=None)
+        found = search(
+            options.bundle,
+            metadata,
+            forms,
+            others[:SEARCH_FRAMES],
+            folder,
+            bound=options.max_pose_error,
+            on_sample=lambda: progress.advance(searching),
+        )
+        progress.remove_task(searching)
+        models = {"fp16": forms.half(), "int8-dynamic": forms.dynamic(), "int8-static": forms.static()}
+        if found.chosen:
+            models["int8-mixed"] = forms.static([x.name for x in forms.layers if x.works_on in found.chosen])
+        made = {"fp32": options.bundle}
+        for name, model in models.items():
+            path = options.output / f"{options.bundle.stem}.{name}.onnx"
+            provenance = {**metadata.provenance, "form": f"{name} of {options.bundle.name}"}
+            write_file(bundle_bytes(model, replace(metadata, provenance=provenance)), path)
+            made[name] = path
         task = progress.add_task("measuring", total=2 * ROUNDS * len(tested))
         results = measure(made, tested, rounds=ROUNDS, on_sample=lambda: progress.advance(task))
     best = recommended(results, options.max_pose_error)
+    sys.stdout.write(search_table(found, options.max_pose_error))
     sys.stdout.write(table(results, best, options.max_pose_error, len(tested)))
     refused = {one.name for one in results[1:] if one.refused(options.max_pose_error, results[0].failures)}
     for name in refused:
@@ -49,9 +69,30 @@ def run(options: argparse.Namespace) -> int:
             "max_pose_error": options.max_pose_error,
             "recommended": best.name,
             "forms": [{**one.document(), "refused": one.name in refused} for one in results],
+            "mixed": found.document(),
         }
         write_file((json.dumps(document, indent=1) + "\n").encode(), options.json)
     return 0
+
+
+def search_table(found: Search, bound: float) -> str:
+    """For people: what each group of layers costs in 8 bits, and what is made of it."""
+    lines = [f"{'in 8 bits alone':20s} {'layers':>6s} {'10^6 mult.':>10s} {'kB less':>8s} {'time':>5s} {'error':>6s}"]
+    for one in found.groups:
+        if one.name in found.chosen:
+            verdict = "in int8-mixed"
+        elif not one.pays:
+            verdict = "no quicker"
+        else:
+            verdict = "with the others over the limit" if one.harmless(bound) else f"over {bound:g}, or more failures"
+        lines.append(
+            f"{one.name:20s} {one.layers:6d} {one.multiplications / 1e6:10.1f} {one.saved_bytes / 1e3:8.0f} "
+            f"{one.time:5.2f} {one.error:6.2f}  {verdict}"
+        )
+    if not found.chosen:
+        lines.append("8 bits make no group of layers quicker here within the limit: there is no int8-mixed")
+    lines.append("time, error: of the original's; time: of a whole pass, the worse of one and two threads")
+    return "\n".join(lines) + "\n\n"
 
 
 def table(results: list[Measured], best: Measured, bound: float, frames: int) -> str:
@@ -72,14 +113,14 @@ def table(results: list[Measured], best: Measured, bound: float, frames: int) ->
     return "\n".join([*lines, note]) + "\n"
 
 
-def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[Inputs]]:
-    """The first regions, with their truth, and the others; ValueError where there are too few of either."""
+def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[TrueSample]]:
+    """The first regions and the others, with their truth; ValueError where there are too few of either."""
     metadata = read_bundle(bundle).metadata
     source = open_source(data)
     if not source.has_truth:
         raise ValueError(f"{data}: expected a recording with true poses, got a {source.format} without")
     tested: list[TrueSample] = []
-    others: list[Inputs] = []
+    others: list[TrueSample] = []
     for recorded in source:
         for instance in recorded.instances:
             if instance.region is None or instance.truths is None:
@@ -88,10 +129,7 @@ def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], l
             if isinstance(sample, str):
                 continue
             given = sample, find_neighbours(sample.points_camera - sample.center_camera)
-            if len(tested) < frames:
-                tested.append((given, instance.truths))
-            else:
-                others.append(given)
+            (tested if len(tested) < frames else others).append((given, instance.truths))
     if not tested or len(others) < 2:
         raise ValueError(
             f"{data}: expected more regions with depth than --frames {frames}, as the others calibrate; "

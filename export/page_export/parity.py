@@ -71,6 +71,11 @@ class Parity:
     parts: int
 
     @property
+    def undecided_bound(self) -> float:
+        """Share of the parts that may be undecided."""
+        return MAX_UNDECIDED_SHARE
+
+    @property
     def holds(self) -> bool:
         """Whether the two are the same network, by this module's bounds."""
         return (
@@ -78,7 +83,7 @@ class Parity:
             and self.rotation_deg.max <= MAX_ROTATION_DEG
             and self.translation_mm.max <= MAX_TRANSLATION_MM
             and self.disagreements == 0
-            and self.undecided <= MAX_UNDECIDED_SHARE * self.parts
+            and self.undecided <= self.undecided_bound * self.parts
         )
 
     def document(self) -> dict[str, Any]:
@@ -95,6 +100,7 @@ class Parity:
             "translation_mm": entry(self.translation_mm, MAX_TRANSLATION_MM),
             "disagreements": self.disagreements,
             "undecided": self.undecided,
+            "undecided_bound": self.undecided_bound,
             "parts": self.parts,
         }
 

@@ -8,6 +8,8 @@ from tempfile import TemporaryDirectory
 import onnx
 import onnxruntime as ort
 
+from page_runtime.network import SLOWER
+
 
 def simplified(model: onnx.ModelProto) -> onnx.ModelProto:
     """The same function with constants folded and twins merged, in standard operators: fewer to check and to load."""
@@ -17,5 +19,7 @@ def simplified(model: onnx.ModelProto) -> onnx.ModelProto:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_BASIC
         options.optimized_model_filepath = str(path)
         options.log_severity_level = 3
-        ort.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+        ort.InferenceSession(
+            model.SerializeToString(), options, providers=["CPUExecutionProvider"], disabled_optimizers=SLOWER
+        )
         return onnx.load(path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,10 +22,6 @@ from page_runtime.network import feeds
 CALIBRATION_FRAMES = 32
 # Layers with fewer inputs are places, frames and indices of points: geometry, which needs its digits.
 LEAST_INPUTS = 32
-# In the mixed form smaller layers stay in float32, too: heads and frames of parts decide on poses, and converting to
-# and from 8 bits costs as much as they do.
-MIXED_MULTIPLICATIONS = 4_000_000
-
 # The converter replaces Gemm by MatMul and Add and then looks in vain for the type of what is between them.
 _UNTYPED_IS_FLOAT = {"DefaultTensorType": onnx.TensorProto.FLOAT}
 
@@ -61,19 +59,43 @@ def chosen_for_calibration(samples: Sequence[Inputs], count: int = CALIBRATION_F
     return [samples[i] for i in chosen]
 
 
-def variants(
-    bundle: Path, metadata: BundleMetadata, calibration: Sequence[Inputs]
-) -> dict[str, Callable[[], onnx.ModelProto]]:
-    """By name, each made when called: fp16, int8-dynamic, int8-static and int8-mixed."""
-    given = [feeds(metadata, sample, neighbours) for sample, neighbours in calibration]
-    layers = _layers(bundle)
-    large = [name for name, multiplications in layers.items() if multiplications >= MIXED_MULTIPLICATIONS]
-    return {
-        "fp16": lambda: _half(bundle, list(layers)),
-        "int8-dynamic": lambda: _converted(bundle, lambda source, target: _dynamic(source, target, list(layers))),
-        "int8-static": lambda: _converted(bundle, lambda source, target: _static(source, target, given, list(layers))),
-        "int8-mixed": lambda: _converted(bundle, lambda source, target: _static(source, target, given, large)),
-    }
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """An operator with weights. works_on: the size of the map or the rows it gives, in words; multiplications: of a
+    pass."""
+
+    name: str
+    works_on: str
+    multiplications: float
+
+
+class Forms:
+    """The forms of one bundle, with what they share: its layers, and the ranges that its values have on samples."""
+
+    def __init__(self, bundle: Path, metadata: BundleMetadata, calibration: Sequence[Inputs], folder: Path) -> None:
+        """folder: where the ranges are kept."""
+        self.bundle = bundle
+        self.layers = _layers(bundle)
+        self._given = [feeds(metadata, sample, neighbours) for sample, neighbours in calibration]
+        self._ranges = folder / "ranges.json"
+
+    def half(self) -> onnx.ModelProto:
+        """The layers' weights stored in half precision."""
+        return _half(onnx.load(self.bundle), [one.name for one in self.layers])
+
+    def dynamic(self) -> onnx.ModelProto:
+        """All layers in 8 bits, ranges of what they take found in each pass."""
+        names = [one.name for one in self.layers]
+        # On its way it transposes what no layer shares, too.
+        products = [node.name for node in _named(onnx.load(self.bundle)).graph.node]
+        return _converted(self.bundle, products, lambda source, target: _dynamic(source, target, names))
+
+    def static(self, layers: Sequence[str] | None = None) -> onnx.ModelProto:
+        """Layers (all by default) in 8 bits, ranges as on the samples."""
+        names = [one.name for one in self.layers] if layers is None else list(layers)
+        return _converted(
+            self.bundle, names, lambda source, target: _static(source, target, self._given, names, self._ranges)
+        )
 
 
 def without_dead_ends(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -95,10 +117,10 @@ def without_dead_ends(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def _half(bundle: Path, layers: list[str]) -> onnx.ModelProto:
-    """The layers' weights stored in half precision, computed with in float32: CPUs have few kernels for halves, and a
-    conversion of what is between the layers cannot even count the pixels of a map."""
-    model = _named(onnx.load(bundle))
+def _half(model: onnx.ModelProto, layers: list[str]) -> onnx.ModelProto:
+    """Stored only, and computed with in float32: CPUs have few kernels for halves, and a conversion of what is between
+    the layers cannot even count the pixels of a map."""
+    model = _named(model)
     graph = model.graph
     weights = {node.input[1] for node in graph.node if node.name in layers}
     for tensor in [tensor for tensor in graph.initializer if tensor.name in weights]:
@@ -117,7 +139,9 @@ def _dynamic(source: Path, target: Path, layers: list[str]) -> None:
     )
 
 
-def _static(source: Path, target: Path, given: list[dict[str, NDArray[np.generic]]], layers: list[str]) -> None:
+def _static(
+    source: Path, target: Path, given: list[dict[str, NDArray[np.generic]]], layers: list[str], ranges: Path
+) -> None:
     quantize_static(
         source,
         target,
@@ -129,32 +153,31 @@ def _static(source: Path, target: Path, given: list[dict[str, NDArray[np.generic
         activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8,
         extra_options=_UNTYPED_IS_FLOAT,
+        calibration_cache_path=ranges,
     )
 
 
-def _converted(bundle: Path, convert: Callable[[Path, Path], Any]) -> onnx.ModelProto:
+def _converted(bundle: Path, layers: Collection[str], convert: Callable[[Path, Path], Any]) -> onnx.ModelProto:
     with TemporaryDirectory() as folder:
         source, target = Path(folder) / "source.onnx", Path(folder) / "target.onnx"
         model = _named(onnx.load(bundle))
-        _weights_of_their_own(model.graph)
+        _weights_of_their_own(model.graph, layers)
         onnx.save(onnx.shape_inference.infer_shapes(model, data_prop=True), source)
         convert(source, target)
         return without_dead_ends(onnx.load(target))
 
 
-def _weights_of_their_own(graph: onnx.GraphProto) -> None:
-    """A copy of each weight for every product that uses it: the converter transposes a shared one once only."""
+def _weights_of_their_own(graph: onnx.GraphProto, layers: Collection[str]) -> None:
+    """A copy of each weight for every layer that shares it with others: the converter transposes a shared one once."""
     tensors = {tensor.name: tensor for tensor in graph.initializer}
-    used: set[str] = set()
-    for node in graph.node:
-        if node.op_type not in ("Conv", "Gemm", "MatMul"):
-            continue
+    products = [node for node in graph.node if node.op_type in ("Conv", "Gemm", "MatMul")]
+    uses = Counter(name for node in products for name in node.input if name in tensors)
+    for node in products:
         for place, name in enumerate(node.input):
-            if name in tensors and name in used:
+            if node.name in layers and uses[name] > 1:
                 copy = graph.initializer.add()
                 copy.CopyFrom(tensors[name])
                 copy.name = node.input[place] = f"{name}_of_{node.name}"
-            used.add(name)
 
 
 def _named(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -163,8 +186,8 @@ def _named(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def _layers(bundle: Path) -> dict[str, float]:
-    """Layers with weights, by the name `_named` gives them, and how often each multiplies."""
+def _layers(bundle: Path) -> list[Layer]:
+    """Layers with weights, by the name `_named` gives them."""
     model = _named(onnx.shape_inference.infer_shapes(onnx.load(bundle), data_prop=True))
     graph = model.graph
     weights = {tensor.name: tensor.dims for tensor in graph.initializer}
@@ -172,16 +195,18 @@ def _layers(bundle: Path) -> dict[str, float]:
         value.name: [dim.dim_value for dim in value.type.tensor_type.shape.dim]
         for value in (*graph.value_info, *graph.output)
     }
-    found = {}
+    found = []
     for node in graph.node:
         if node.op_type not in ("Conv", "Gemm", "MatMul") or node.input[1] not in weights:
             continue
-        kernel, made = weights[node.input[1]], np.prod(shapes[node.output[0]])
+        kernel, shape = weights[node.input[1]], shapes[node.output[0]]
         if node.op_type == "Conv":
-            found[node.name] = float(made * np.prod(kernel[1:]))
+            maps = "x".join(map(str, shape[2:]))
+            found.append(Layer(node.name, f"maps of {maps}", float(np.prod(shape) * np.prod(kernel[1:]))))
             continue
         transposed = any(attribute.name == "transB" and attribute.i for attribute in node.attribute)
         inputs = kernel[-1] if transposed else kernel[-2]
         if inputs >= LEAST_INPUTS:
-            found[node.name] = float(made * inputs)
+            rows = int(np.prod(shape[:-1]))
+            found.append(Layer(node.name, f"products of {rows}", float(np.prod(shape) * inputs)))
     return found

@@ -144,7 +144,7 @@ class PageNetwork(nn.Module):
         """`dense` (B,D): evaluate the dense layers at these points, of all that up1 has rows for."""
         known = self.described(inputs, dense)
         # Corrections in the part's frame and in parts of its diagonal, turned back.
-        correction = self.keypoints(known.features).view(len(known.points), 1, -1, 3) @ known.frames.axes
+        correction = self.keypoints(known.features).view(known.points.shape[0], 1, -1, 3) @ known.frames.axes
         correction = known.owner * correction.view(*known.owner.shape[:3], -1)
         keypoints = (known.refined + correction.sum(dim=1)).view(*known.points.shape[:2], self.num_keypoints, 3)
         common = known.common

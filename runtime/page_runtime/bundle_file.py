@@ -43,8 +43,20 @@ def read_bundle(path: Path) -> BundleFile:
         metadata = BundleMetadata.from_json(file_read.metadata[METADATA_KEY])
         if metadata.opset != file_read.graph.opset:
             raise BundleError(f"bundle metadata: opset {metadata.opset}, but the graph's is {file_read.graph.opset}")
+        _check_batch({shape[0] for shape in file_read.graph.inputs.values() if shape})
         return BundleFile(data, metadata, size_of(file_read.graph))
     except WireError as error:
         raise BundleError(f"bundle {path}: {error}; is it a complete .onnx file of page-export?") from error
     except BundleError as error:
         raise BundleError(f"bundle {path}: {error}") from error
+
+
+def _check_batch(rows: set[int | str]) -> None:
+    """rows: of the inputs. Where they differ it is no batch, and `Network` says which input is wrong."""
+    if len(rows) == 1 and rows != {1}:
+        (count,) = rows
+        objects = "a free number of" if isinstance(count, str) else str(count)
+        raise BundleError(
+            f"it takes {objects} objects at once; the runtime takes one, which is quicker on a CPU: export it without "
+            "--batch"
+        )

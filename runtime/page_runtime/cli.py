@@ -166,7 +166,7 @@ def _parser() -> argparse.ArgumentParser:
             "--provider-option", metavar="KEY=VALUE", action="append", default=[], help=provider_option_help
         )
         require_help = "end with an error where the provider cannot run all of the network"
-        sub.add_argument("--require-provider", action="store_true", help=require_help)
+        sub.add_argument("--require", action="store_true", help=require_help)
         pairs(sub)
 
     window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
@@ -231,7 +231,7 @@ def _provider_choice(options: dict[str, Any]) -> ProviderChoice:
         if not key or not sign:
             raise UsageError(f"--provider-option: expected KEY=VALUE, got {key}")
     values = tuple((key, value) for key, _, value in pairs)
-    return ProviderChoice(options.pop("provider"), values, options.pop("require_provider"))
+    return ProviderChoice(options.pop("provider"), values, options.pop("require"))
 
 
 if __name__ == "__main__":

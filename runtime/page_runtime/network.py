@@ -30,8 +30,9 @@ from page_runtime.sampling import RegionSample
 INPUT_NAMES = ("image", "points", "pixels", "group1", "group2", "group3", "up1", "up2", "up3")
 OUTPUT_NAMES = ("part_logits", "radii", "side_logits", "log_extents")
 # Its kernel takes much longer than an addition and a layer norm: a forward pass of the boxes' network took 17.8 ms with
-# it, 14.3 without (one thread, onnxruntime 1.31, in turns).
-SLOWER = ["SkipLayerNormFusion"]
+# it, 14.3 without (one thread, onnxruntime 1.31, in turns). A bias that becomes part of a product is written by one
+# thread before it: 2,048 x 128 by 160 took 368 us on two threads with it, 260 without.
+SLOWER = ["SkipLayerNormFusion", "MatMulAddFusion"]
 # The largest of the usual detectors has 270 MB.
 MAX_DETECTOR_BYTES = 512 << 20
 
