@@ -35,7 +35,8 @@ from page_runtime.recorded import RecordedFrame
 ROOT = Path(__file__).resolve().parents[1]
 EXIT_BAD_INPUT = 2
 # Each with the seed of its sequence: the first whose object the bundle recognises (a track begins at a mean confidence
-# of 0.5). The drawers of seeds 0 and 1 are chests over two metres away, of which it is never that sure.
+# of 0.5). The drawers of seeds 0 and 1 are chests over two metres away: in no frame of the one, and not in the first of
+# the other, is it that sure.
 CATEGORIES = {"box": 0, "laptop": 0, "drawer": 2}
 WAYS = ("search", "track")
 # Right enough to say that the object was found again: degrees and metres.

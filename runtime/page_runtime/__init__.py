@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from page_runtime.estimator import estimate
     from page_runtime.frame import RgbdFrame
     from page_runtime.image_files import SourceError
+    from page_runtime.live.faults import FrameFault, FramesFailing
     from page_runtime.live.loop import LiveLoop
     from page_runtime.live.result import LiveObject, LiveResult, LoopCounts
     from page_runtime.live.start import live_results
@@ -38,6 +39,8 @@ _MODULE_OF_NAME = {
     "Camera": "camera",
     "Category": "category",
     "DeadlineExceeded": "network",
+    "FrameFault": "live.faults",
+    "FramesFailing": "live.faults",
     "Instance": "recorded",
     "Joint": "category",
     "LiveLoop": "live.loop",
@@ -69,6 +72,8 @@ __all__ = [
     "Camera",
     "Category",
     "DeadlineExceeded",
+    "FrameFault",
+    "FramesFailing",
     "Instance",
     "Joint",
     "LiveLoop",
