@@ -32,8 +32,9 @@ demo: $(VENV)/.runtime
 	done
 	@echo; echo "Poses: $(OUT)/laptop.jsonl $(OUT)/box.jsonl"; echo "Pictures:"; ls $(OUT)/laptop/* $(OUT)/box/*
 
+# One process a core, each with one thread: with more they wait for each other.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
