@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ from page_export.parity import (
     MAX_UNDECIDED_SHARE,
     Difference,
     Parity,
-    checkpoint_run,
     compare,
     samples_of,
 )
@@ -115,10 +115,9 @@ def real_inputs() -> tuple[torch.Tensor, ...]:
 def test_bundle_and_checkpoint_agree_on_outputs_and_poses(network: PageNetwork, bundle: Path, tmp_path: Path) -> None:
     record_split("box", tmp_path / "recording", split="validation", frames=3, width=480)
     loaded = Network(bundle, threads=1)
-    run = checkpoint_run(loaded.metadata, network)
     source = open_source(tmp_path / "recording")
     parity, again = (
-        compare(loaded.metadata, loaded.run_raw, run, samples_of(loaded.metadata, source)) for _ in range(2)
+        compare(loaded.metadata, loaded.run_raw, network, samples_of(loaded.metadata, source)) for _ in range(2)
     )
     assert parity.samples == 3
     assert max(difference.max for difference in parity.outputs.values()) < 1e-4
@@ -126,15 +125,15 @@ def test_bundle_and_checkpoint_agree_on_outputs_and_poses(network: PageNetwork, 
     assert parity.translation_mm.max < 0.1
     assert parity.holds
     assert parity.document() == again.document()
+    assert all(0.0 < rounding < 1e-3 for rounding in parity.rounding.values())
 
 
 def test_another_network_is_not_the_same(bundle: Path, tmp_path: Path) -> None:
     record_split("box", tmp_path / "recording", split="validation", frames=1, width=480)
     loaded = Network(bundle, threads=1)
     torch.manual_seed(1)
-    other = checkpoint_run(loaded.metadata, network_for(BOX))
     samples = samples_of(loaded.metadata, open_source(tmp_path / "recording"))
-    parity = compare(loaded.metadata, loaded.run_raw, other, samples)
+    parity = compare(loaded.metadata, loaded.run_raw, network_for(BOX), samples)
     assert not parity.holds
     assert max(difference.max for difference in parity.outputs.values()) > 1e-2
 
@@ -236,7 +235,16 @@ def test_a_file_that_is_not_a_bundle_is_refused_with_the_reason(bundle: Path, tm
 def parity_with(undecided: int) -> Parity:
     same = Difference(0.0, 0.0)
     names: list[str] = list(OUTPUT_NAMES)
-    return Parity(50, dict.fromkeys(names, same), same, same, disagreements=0, undecided=undecided, parts=200)
+    return Parity(
+        50, dict.fromkeys(names, same), dict.fromkeys(names, 0.0), same, same, 0, undecided=undecided, parts=200
+    )
+
+
+def test_a_bundle_is_asked_to_be_no_nearer_than_rounding_lets_the_checkpoint_be() -> None:
+    off = replace(parity_with(0), outputs=dict.fromkeys(OUTPUT_NAMES, Difference(1.7e-4, 1e-6)))
+    assert not off.holds
+    assert replace(off, rounding=dict.fromkeys(OUTPUT_NAMES, 1e-4)).holds
+    assert not replace(off, rounding=dict.fromkeys(OUTPUT_NAMES, 8e-5)).holds
 
 
 def test_parts_that_toss_a_coin_are_told_in_words_and_are_few() -> None:

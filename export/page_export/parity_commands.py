@@ -17,7 +17,7 @@ from onnx import load as load_model
 from page_export.batched import Batch, batched_run
 from page_export.bundle_writer import bundle_bytes, write_file
 from page_export.onnx_export import graph_of, write_bundle
-from page_export.parity import Parity, checkpoint_run, compare, samples_of
+from page_export.parity import Parity, compare, samples_of
 from page_runtime.capture.playback import open_source
 from page_runtime.network import Network
 from page_training.templates import with_templates
@@ -75,7 +75,7 @@ def onnx(options: argparse.Namespace) -> int:
         metadata = write_bundle(model, category, trial, mirrored=mirrored, provenance=provenance)
         ours = Network(trial, threads=1).run_raw if batch is None else batched_run(trial.read_bytes(), metadata, batch)
         samples = samples_of(metadata, open_source(options.compare_on))
-        parity = compare(metadata, ours, checkpoint_run(metadata, trained.network), samples)
+        parity = compare(metadata, ours, trained.network, samples)
     sys.stdout.write(table(parity))
     if parity.holds:
         provenance["parity"] = _kept(parity, options.checkpoint, options.compare_on)
@@ -95,7 +95,7 @@ def verify(options: argparse.Namespace) -> int:
             f"{options.bundle} is for {metadata.category.name!r}, {options.against} for {trained.category.name!r}"
         )
     samples = samples_of(metadata, open_source(options.data), options.frames)
-    parity = compare(metadata, bundle.run_raw, checkpoint_run(metadata, trained.network), samples)
+    parity = compare(metadata, bundle.run_raw, trained.network, samples)
     sys.stdout.write(table(parity))
     kept = _kept(parity, options.against, options.data)
     if options.json is not None:
