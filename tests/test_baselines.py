@@ -37,6 +37,8 @@ AXES = voted_axes(BOX)
 WAYS: tuple[Way, ...] = ("anchors", "normalised", "pairs")
 POINTS = 256
 SURE = 60.0
+# An axis is read from voted cells, and as well as those are wide.
+CELL_DEG = 4.0
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -180,7 +182,7 @@ def test_exact_pairs_vote_the_pose_to_within_the_accumulators_cells(
 ) -> None:
     sample, truths, targets = posed_boxes(seed, faces)
     pose = POSE_OF["pairs"](metadata_for(BOX), sample, exact_pairs(targets, guessed))
-    assert (errors_of(pose, truths) < [3.0, 2 * VOXEL, 1e-3]).all()
+    assert (errors_of(pose, truths) < [CELL_DEG, 2 * VOXEL, 1e-3]).all()
 
 
 @given(seeds)
@@ -189,7 +191,7 @@ def test_from_one_face_the_sides_tell_the_axes_and_only_the_center_may_be_its_mi
     sample, truths, targets = posed_boxes(seed, (2,))
     pose = POSE_OF["pairs"](metadata_for(BOX), sample, exact_pairs(targets))
     errors = errors_of(pose, truths)
-    assert (errors[:, [0, 2]] < [3.0, 1e-3]).all()
+    assert (errors[:, [0, 2]] < [CELL_DEG, 1e-3]).all()
     mirrored = tuple(
         replace(one, T_camera_part=one.T_camera_part @ transform_from(np.eye(3), np.array([0, 0, one.extents_m[2]])))
         for one in truths

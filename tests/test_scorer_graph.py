@@ -13,7 +13,7 @@ from page_export.cli import main
 from page_export.scorer_graph import CENTER, DISTINCT, INPUTS, OUTPUTS, scorer_graph
 from page_runtime.bundle import BundleError, BundleMetadata
 from page_runtime.category import Category
-from page_runtime.neighbours import ANSWERED
+from page_runtime.neighbours import ANSWERED, LEVELS
 from page_runtime.network import Network
 from page_runtime.part_poses import MAX_VOTERS
 from page_runtime.scoring import score_keypoints
@@ -33,7 +33,7 @@ def category() -> Category:
 
 @pytest.fixture(scope="module")
 def session(category: Category) -> ort.InferenceSession:
-    metadata = BundleMetadata(category, NUM_POINTS, 224, VOXEL_M, 18, False, {})
+    metadata = BundleMetadata(category, LEVELS[0], 224, VOXEL_M, 18, False, {})
     return ort.InferenceSession(scorer_graph(metadata).SerializeToString(), providers=["CPUExecutionProvider"])
 
 
@@ -48,7 +48,9 @@ def scored(
     """Keypoints (K, 3, 3) m camera and votes (K, 3) of points (N, 3) m camera with labels (N,), radii (N, n) m."""
     unit, center = category.region_radius_m, points.mean(axis=0)
     logits = 5.0 * (labels[:, None] == np.arange(len(category.parts) + 1))
-    inputs = ((points - center)[None] / unit, logits[None], radii_m[None] / unit, center[None])
+    # Of the points only those that the network answers for are looked at.
+    region = np.resize(points, (LEVELS[0], 3))
+    inputs = ((region - center)[None] / unit, logits[None], radii_m[None] / unit, center[None])
     feeds = {name: value.astype(np.float32) for name, value in zip(INPUTS, inputs, strict=False)}
     feeds[DISTINCT] = np.array([len(points) if num_distinct is None else num_distinct])
     keypoints, votes = session.run(list(OUTPUTS), feeds)

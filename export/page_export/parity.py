@@ -188,7 +188,7 @@ def compare(metadata: BundleMetadata, ours: Run, network: PageNetwork, samples: 
     )
 
 
-def _difference(reference: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
+def _difference(reference: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.floating]:
     """Of a value above 1 float32 keeps so much less behind the point."""
     return np.abs(other - reference) / np.maximum(1.0, np.abs(reference))
 
