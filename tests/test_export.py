@@ -248,9 +248,9 @@ def test_a_bundle_is_asked_to_be_no_nearer_than_rounding_lets_the_checkpoint_be(
 
 
 def test_parts_that_toss_a_coin_are_told_in_words_and_are_few() -> None:
-    assert parity_with(20).holds
-    assert not parity_with(21).holds
-    assert "4 parts (2.0 %, at most 10 %) are undecided and left out: two fits" in table(parity_with(4))
+    assert parity_with(10).holds
+    assert not parity_with(11).holds
+    assert "4 parts (2.0 %, at most 5 %) are undecided and left out: two fits" in table(parity_with(4))
     assert "undecided" not in table(parity_with(0))
 
 

@@ -115,7 +115,8 @@ def test_a_viewer_that_is_closed_is_told_once_and_the_loop_goes_on() -> None:
         deadline = time.monotonic() + 20
         while sinks.counts[viewer.name].written == 0 and time.monotonic() < deadline:
             time.sleep(0.01)
-        os.kill(viewer.process, signal.SIGKILL)
+        # With what it started: the program beside Python only starts another.
+        os.killpg(viewer.process, signal.SIGKILL)
         os.waitid(os.P_PID, viewer.process, os.WEXITED | os.WNOWAIT)
         for i in range(100):
             sinks.put(empty_result(i))

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 # Bounds of `parity`, which is not imported before it is needed; a test holds them together.
 _PARITY = """The two are the same network where every output agrees to 1e-4 (above 1: of its value), or to twice what
 rounding to float32 does to the checkpoint itself, every pose to 0.02 deg and 0.1 mm, and both give poses for the same
-parts. Parts whose pose is a toss-up are "undecided" and left out, at most 10 % of all: where two fits are as good as
+parts. Parts whose pose is a toss-up are "undecided" and left out, at most 5 % of all: where two fits are as good as
 each other, the last digits decide which is taken, and the checkpoint's own pose moves by more than these bounds when
 its outputs are changed by no more than the two networks differ. Exit code 1 where they are not the same."""
 
