@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.loop import Followed
-from page_runtime.recorded import RecordedFrame
+from page_runtime.recorded import FrameEntry, RecordedFrame, Source
 
 Size = tuple[int, int]
 SMALL: Size = (64, 48)
@@ -25,6 +26,16 @@ def numbered_frame(number: int, period_s: float = 1 / 30, *, size: Size = SMALL)
     color = np.full((height, width, 3), number % 251, np.uint8)
     depth_m = np.full((height, width), 1.0, np.float32)
     return RecordedFrame(RgbdFrame(color, depth_m, Camera(K, width, height), number * period_s, number))
+
+
+def numbered_recording(count: int) -> Source:
+    """So many numbered frames as a recording, which waits for whoever takes them."""
+
+    def entry(number: int) -> FrameEntry:
+        frame, path = numbered_frame(number).frame, Path("frames")
+        return FrameEntry(path, path, 1e-3, frame.camera, index=number, decode=lambda: (frame.color, frame.depth_m))
+
+    return Source(path=Path("frames"), format="numbered frames", entries=tuple(entry(k) for k in range(count)))
 
 
 class PacedSource:
@@ -67,4 +78,32 @@ class Idle:
         self.taken_s[recorded.frame.index] = time.monotonic()
         time.sleep(self.busy_s)
         self.done_s[recorded.frame.index] = time.monotonic()
+        return Followed((), "searching")
+
+
+class IdleAhead(Idle):
+    """The same in two halves (`loop.LooksAhead`): `look_s` for the first, `busy_s` for the second. looked_s, asked_s:
+    when the first ended and the second began."""
+
+    def __init__(self, look_s: float = 0.0, busy_s: float = 0.0, *, frames: int = 10_000) -> None:
+        super().__init__(busy_s, frames=frames)
+        self.look_s = look_s
+        self.looked_s, self.asked_s = np.full(frames, np.nan), np.full(frames, np.nan)
+
+    def look(self, recorded: RecordedFrame, deadline: Deadline) -> int:
+        del deadline
+        number = recorded.frame.index
+        self.taken_s[number] = time.monotonic()
+        time.sleep(self.look_s)
+        self.looked_s[number] = time.monotonic()
+        return number
+
+    def answer(self, recorded: RecordedFrame, looked: int, deadline: Deadline) -> Followed:
+        del deadline
+        number = recorded.frame.index
+        if looked != number:
+            raise ValueError(f"looked: expected what was seen in frame {number}, got that of {looked}")
+        self.asked_s[number] = time.monotonic()
+        time.sleep(self.busy_s)
+        self.done_s[number] = time.monotonic()
         return Followed((), "searching")

@@ -6,11 +6,10 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import psutil
 import pytest
-from benchmarks.paced import Idle, PacedSource, numbered_frame
+from benchmarks.paced import Idle, PacedSource, numbered_frame, numbered_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +17,7 @@ from page_runtime.image_files import SourceError
 from page_runtime.live.loop import LiveLoop
 from page_runtime.live.result import LiveResult, LoopCounts
 from page_runtime.live.slot import FrameSlot
-from page_runtime.recorded import FrameEntry, RecordedFrame, Source
+from page_runtime.recorded import RecordedFrame
 
 
 def balanced(counts: LoopCounts) -> bool:
@@ -53,14 +52,8 @@ def test_the_last_frame_is_processed_before_the_iteration_ends() -> None:
     assert results[-1].frame.index == 19
 
 
-def entry(number: int) -> FrameEntry:
-    frame = numbered_frame(number).frame
-    path = Path("frames")
-    return FrameEntry(path, path, 1e-3, frame.camera, index=number, decode=lambda: (frame.color, frame.depth_m))
-
-
 def test_every_frame_of_a_recording_is_processed_however_slow_the_consumer_is() -> None:
-    source = Source(path=Path("frames"), format="frames of a test", entries=tuple(entry(k) for k in range(25)))
+    source = numbered_recording(25)
     with LiveLoop(source, Idle(busy_s=0.002)) as loop:
         indices = [result.frame.index for result in loop]
     assert indices == list(range(25))
@@ -111,7 +104,7 @@ def test_a_result_after_its_deadline_is_late_and_counted() -> None:
 
 def test_a_callback_gets_what_iterating_gives() -> None:
     given: list[LiveResult] = []
-    source = Source(path=Path("frames"), format="frames of a test", entries=tuple(entry(k) for k in range(8)))
+    source = numbered_recording(8)
     counts = LiveLoop(source, Idle()).run(given.append)
     assert [result.frame.index for result in given] == list(range(8))
     assert counts == LoopCounts(received=8, processed=8)

@@ -9,7 +9,7 @@ import pytest
 
 from followed_boxes import ROOT, apart, at, box_network, good_frames, only, region_of
 from page_runtime import Network, RecordedFrame, live_results, open_source
-from page_runtime.estimator import estimate, examine
+from page_runtime.estimator import estimate, examine, first_look
 from page_runtime.frame import RgbdFrame
 from page_runtime.live import each, following
 from page_runtime.live.deadline import Deadline
@@ -86,7 +86,7 @@ def test_a_loop_that_is_told_to_stop_looks_at_no_further_place(
         return called
 
     monkeypatch.setattr(following, "examine", counted(examine))
-    monkeypatch.setattr(each, "estimate", counted(estimate))
+    monkeypatch.setattr(each, "first_look", counted(first_look))
     with LiveLoop([frames[0], at(frames[0], 1)], way(network, Everywhere())) as loop:
         loops.append(loop)
         assert len(list(loop)) == 1

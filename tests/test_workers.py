@@ -50,13 +50,18 @@ import torch
 from torch import nn
 from page_training.workers import join_workers, leave_workers
 
-workers = join_workers(8)
-torch.manual_seed(0)
-network, rows = nn.Sequential(nn.Linear(5, 4), nn.Tanh(), nn.Linear(4, 1)), torch.randn(8, 5)
-module = workers.joined(network, all_used=True)
-module(torch.from_numpy(workers.rows(rows.numpy()))).square().mean().backward()
-means = workers.means({"rank": float(workers.rank)})
-torch.save(([p.grad for p in network.parameters()], means), f"{sys.argv[1]}/{workers.rank}.pt")
+
+def work():
+    workers = join_workers(8)
+    torch.manual_seed(0)
+    network, rows = nn.Sequential(nn.Linear(5, 4), nn.Tanh(), nn.Linear(4, 1)), torch.randn(8, 5)
+    module = workers.joined(network, all_used=True)
+    module(torch.from_numpy(workers.rows(rows.numpy()))).square().mean().backward()
+    means = workers.means({"rank": float(workers.rank)})
+    torch.save(([p.grad for p in network.parameters()], means), f"{sys.argv[1]}/{workers.rank}.pt")
+
+
+work()
 leave_workers()
 """
 
@@ -68,7 +73,8 @@ def test_gradients_are_those_of_the_whole_batch_on_every_worker(tmp_path: Path) 
         folder = tmp_path / str(count)
         folder.mkdir()
         torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
-        subprocess.run([*torchrun, str(script), str(folder)], check=True, capture_output=True, timeout=120)
+        done = subprocess.run([*torchrun, str(script), str(folder)], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
     whole, _ = torch.load(tmp_path / "1" / "0.pt")
     for rank in (0, 1):
         gradients, means = torch.load(tmp_path / "2" / f"{rank}.pt")

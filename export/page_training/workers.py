@@ -62,7 +62,7 @@ def join_workers(batch_size: int) -> Workers:
 
 def leave_workers() -> None:
     """Wait for the others and end the group, where there is one: a process that exits while the group's threads still
-    run is aborted, now and then."""
+    run is aborted, now and then. A network that is still joined keeps them running; let go of it first."""
     if distributed.is_initialized():
         distributed.barrier()
         distributed.destroy_process_group()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -73,12 +74,34 @@ def examine(
     network_seconds: float | None = None,
 ) -> Examined:
     """`estimate`, with the points of the region and what the network said of them."""
+    first = first_look(network, frame, region, network_seconds=network_seconds)
+    return examined(
+        network, frame, region, first, max_looks=max_looks, max_voters=max_voters, network_seconds=network_seconds
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FirstLook:
+    """What the network says of a region, before anything is made of it. depth_m: what its points were to be near, as in
+    `sample_region`. reason: why there is neither sample nor output. stage_ms: the time it took."""
+
+    sample: RegionSample | None = None
+    output: NetworkOutput | None = None
+    depth_m: float | None = None
+    reason: str = ""
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+def first_look(
+    network: Network, frame: RgbdFrame, region: Region, *, network_seconds: float | None = None
+) -> FirstLook:
+    """The first half of `examine`, most of it onnxruntime's: it may run beside the other half of an earlier frame."""
     metadata = network.metadata
     watch = Stopwatch()
     sample, depth_m = sample_for(metadata, frame, region), None
     watch.stage("sampling")
     if isinstance(sample, str):
-        return Examined(replace(not_seen(metadata.category, sample), stage_ms=watch.stage_ms))
+        return FirstLook(reason=sample, stage_ms=watch.stage_ms)
     output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
     watch.stage("network")
     if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
@@ -89,6 +112,24 @@ def examine(
             sample, depth_m = behind, sample.other_depth_m
             output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
             watch.stage("network")
+    return FirstLook(sample, output, depth_m, stage_ms=watch.stage_ms)
+
+
+def examined(
+    network: Network,
+    frame: RgbdFrame,
+    region: Region,
+    first_look: FirstLook,
+    *,
+    max_looks: int = MAX_LOOKS,
+    max_voters: int = MAX_VOTERS,
+    network_seconds: float | None = None,
+) -> Examined:
+    """The second half of `examine`: poses from the first look, and further looks where they are unlikely."""
+    metadata, sample, output = network.metadata, first_look.sample, first_look.output
+    watch = Stopwatch(first_look.stage_ms)
+    if sample is None or output is None:
+        return Examined(replace(not_seen(metadata.category, first_look.reason), stage_ms=watch.stage_ms))
     pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
     first, labelled = (sample, output), labelled_points(sample, output)
     if not metadata.mirrored or metadata.confidence is None:
@@ -97,7 +138,7 @@ def examine(
     for margin in OTHER_MARGINS[: max_looks - 1]:
         if not _unlikely(pose):
             break
-        again = sample_for(metadata, frame, region, margin=margin, depth_m=depth_m)
+        again = sample_for(metadata, frame, region, margin=margin, depth_m=first_look.depth_m)
         watch.stage("sampling")
         if isinstance(again, RegionSample):
             image = mirrored_sample(again)

@@ -9,10 +9,10 @@ STAGES = ("sampling", "network", "scoring", "registration", "icp", "articulation
 
 
 class Stopwatch:
-    """Adds the wall time since the last call to a stage."""
+    """Adds the wall time since the last call to a stage; `so_far`: what each stage has taken before."""
 
-    def __init__(self) -> None:
-        self.stage_ms: dict[str, float] = dict.fromkeys(map(str, STAGES), 0.0)
+    def __init__(self, so_far: Mapping[str, float] | None = None) -> None:
+        self.stage_ms: dict[str, float] = dict.fromkeys(map(str, STAGES), 0.0) | dict(so_far or {})
         self.since = perf_counter()
 
     def stage(self, name: str) -> None:

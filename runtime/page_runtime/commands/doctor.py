@@ -17,11 +17,12 @@ from page_runtime import findings
 from page_runtime.capture.frame_service import DeviceUnavailable
 from page_runtime.capture.layouts import WINDOW_S
 from page_runtime.capture.oak import connected_devices
-from page_runtime.commands.inputs import available_threads, load_network, require_fitting
+from page_runtime.commands.inputs import load_network, require_fitting
 from page_runtime.commands.sources import open_recorded
 from page_runtime.estimator import estimate
 from page_runtime.findings import Finding
 from page_runtime.image_files import SourceError
+from page_runtime.machine import available_processors
 from page_runtime.network import Network
 from page_runtime.recorded import RecordedFrame, Source
 
@@ -80,7 +81,7 @@ def measure(network: Network, source: Source | None, frames: Sequence[RecordedFr
     with one, each for half of the `seconds`."""
     known = [(recorded.frame, i.region) for recorded in frames for i in recorded.instances if i.region is not None]
     work = _estimates(known) if known and source is not None else _forward_pass
-    threads = available_threads()
+    threads = available_processors()
     counts = (threads, 1) if threads > 1 else (threads,)
     runs = []
     for count in counts:

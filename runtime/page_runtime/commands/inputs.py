@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import cv2
 from page_runtime.commands.sources import open_recorded
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
+from page_runtime.machine import available_processors
 from page_runtime.network import Network
 from page_runtime.pose import NO_REGION, ArticulatedPose, not_seen
 from page_runtime.providers import AUTO, CPU, CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described
@@ -40,7 +40,7 @@ def load_network(bundle: Path, *, threads: int, looks: int, on: ProviderChoice =
     where it is not the CPU."""
     if looks < 1:
         raise UsageError(f"--looks: expected at least 1, got {looks}")
-    threads = threads or available_threads()
+    threads = threads or available_processors()
     cv2.setNumThreads(threads)
     try:
         network = Network(bundle, threads=threads, on=on)
@@ -91,11 +91,6 @@ def require_inside(region: Region, width: int, height: int) -> None:
         check_region(region, width, height)
     except ValueError as error:
         raise UsageError(f"--region: {str(error).removeprefix('region: ')}") from error
-
-
-def available_threads() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 Estimates = tuple[RecordedFrame, tuple[tuple[Instance, ArticulatedPose], ...]]

@@ -20,9 +20,10 @@ from page_runtime.live.each import EachByItself
 from page_runtime.live.faults import FrameFault
 from page_runtime.live.following import Tracking
 from page_runtime.live.locate import FixedRegion, Locator, OwnRegions, RegionError
-from page_runtime.live.loop import LiveLoop
+from page_runtime.live.loop import LiveLoop, can_look_ahead
 from page_runtime.live.masks import MaskFolder
 from page_runtime.live.result import LiveResult
+from page_runtime.machine import available_processors
 from page_runtime.network import Network
 from page_runtime.providers import ProviderChoice
 from page_runtime.recorded import FrameSource, Source
@@ -57,6 +58,8 @@ def live(
     Ctrl-C and SIGTERM end it well after the frame of the moment; a second one interrupts. So does the end of whoever
     reads standard output, where nothing else takes results.
     """
+    # The scoring that runs beside it has a processor of its own.
+    threads = threads or (available_processors() - 1 if not track and can_look_ahead() else 0)
     network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     sink_options = SinkOptions(**where_to)
     if sink_options == SinkOptions():

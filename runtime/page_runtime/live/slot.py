@@ -41,7 +41,8 @@ class FrameSlot:
         self._source, self._every = source, isinstance(source, Source)
         self._changed = threading.Condition()
         self._waiting: Received | None = None
-        self._taken = self._finished = self._closing = False
+        self._in_hand = 0
+        self._finished = self._closing = False
         self._error: BaseException | None = None
         self._counts = LoopCounts()
         self._thread = threading.Thread(target=self._capture, name=f"capture of {name}", daemon=True)
@@ -55,8 +56,8 @@ class FrameSlot:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._finished or self._closing)
             if self._waiting is not None and not self._closing:
-                self._abandon()
-                received, self._waiting, self._taken = self._waiting, None, True
+                received, self._waiting = self._waiting, None
+                self._in_hand += 1
                 self._changed.notify_all()
                 return received
             if self._error is not None and not self._closing:
@@ -64,9 +65,9 @@ class FrameSlot:
             return None
 
     def answered(self, *, late: bool, searched: int, tracked: int, lost: int, failed: bool = False) -> LoopCounts:
-        """Count the frame that was taken as processed; the counters after that."""
+        """Count a frame that was taken as processed; the counters after that."""
         with self._changed:
-            self._taken = False
+            self._in_hand -= 1
             self._counts = replace(
                 self._counts,
                 processed=self._counts.processed + 1,
@@ -78,6 +79,11 @@ class FrameSlot:
             )
             return self._with_waiting()
 
+    def abandoned(self) -> None:
+        """Count a frame that was taken, and of which nothing will come, as dropped."""
+        with self._changed:
+            self._drop(1)
+
     @property
     def counts(self) -> LoopCounts:
         """received = processed + dropped + waiting, at any time."""
@@ -85,7 +91,12 @@ class FrameSlot:
             return self._with_waiting()
 
     def _with_waiting(self) -> LoopCounts:
-        return replace(self._counts, waiting=int(self._taken) + int(self._waiting is not None))
+        return replace(self._counts, waiting=self._in_hand + int(self._waiting is not None))
+
+    @property
+    def closing(self) -> bool:
+        """Whether `stop` or `close` was called."""
+        return self._closing
 
     def stop(self) -> None:
         """End the hand-over; does not wait, and may be called from a signal's handler."""
@@ -105,16 +116,13 @@ class FrameSlot:
         self._wake()
         self._thread.join(STOP_WAIT_S)
         with self._changed:
-            if self._waiting is not None:
-                self._waiting = None
-                self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
-            self._abandon()
+            self._in_hand += int(self._waiting is not None)
+            self._waiting = None
+            self._drop(self._in_hand)
 
-    def _abandon(self) -> None:
-        """Count a frame that was taken and never answered as dropped."""
-        if self._taken:
-            self._taken = False
-            self._counts = replace(self._counts, dropped=self._counts.dropped + 1)
+    def _drop(self, frames: int) -> None:
+        self._in_hand -= frames
+        self._counts = replace(self._counts, dropped=self._counts.dropped + frames)
 
     def _capture(self) -> None:
         try:
