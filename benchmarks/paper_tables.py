@@ -72,8 +72,7 @@ def keep_for_readme(results: dict[str, Any], folder: Path = RESULTS) -> None:
     from benchmarks.readme_figures import write_readme
 
     for one in results["validations"]:
-        frames = one["document"]["frames"]
-        keep(f"{one['category']}-test", one["document"], f"procedural, {frames} unseen instances", folder / "accuracy")
+        keep(f"{one['category']}-{one['kind']}", one["document"], one["data"], folder / "accuracy")
     for one in results["latencies"]:
         text = json.dumps(one["document"], indent=1) + "\n"
         (folder / f"latency-{one['category']}.json").write_text(text, encoding="utf-8")

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 from benchmarks.known_answers import KnownAnswers
 from benchmarks.report import Cache
-from benchmarks.table_steps import BUNDLES, TEST_RECORDINGS
+from benchmarks.table_steps import BUNDLES, procedural_recording
 
 from page_export.onnx_export import graph_of, write_bundle
 from page_runtime.bench import PAPER_MS, report, time_windows
@@ -25,7 +25,6 @@ from page_runtime.recorded import Source
 from page_runtime.sweep import pooled_errors
 from page_training.categories import category_named
 from page_training.network import PageNetwork, keypoints_of, network_for
-from page_training.record import record_split
 from page_training.records import IMAGE_SIZE
 from page_training.templates import with_templates
 from page_training.trained import load_trained
@@ -129,14 +128,7 @@ def _timed(network: Network, source: Source, threads: int) -> dict[str, Any]:
 
 
 def _recording(category: str, frames: int) -> Source:
-    path = TEST_RECORDINGS / f"{category}-validation-{frames}"
-    if not path.is_dir():
-        print(f"latency_sweeps: recording {category}", file=sys.stderr, flush=True)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as place:
-            record_split(category, Path(place) / "made", split="validation", frames=frames)
-            (Path(place) / "made").rename(path)
-    return open_source(path)
+    return open_source(procedural_recording(category, "validation", frames))
 
 
 def _cache(folder: Path, threads: int, source: Source, file: Path | None) -> Cache:

@@ -91,3 +91,20 @@ def test_a_recording_that_cannot_be_understood_is_refused(capsys: pytest.Capture
     assert "expected CATEGORY=PATH, got 'laptop'" in capsys.readouterr().err
     assert main(["--recording", "teapot=x"]) == 2
     assert "no bundle for teapot" in capsys.readouterr().err
+
+
+def test_every_bundle_is_measured_on_the_test_split_and_no_two_results_are_kept_under_one_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(table_steps, "procedural_recording", lambda *given: tmp_path / "-".join(map(str, given)))
+    monkeypatch.setattr(table_steps, "REAL", {"box": (tmp_path, "real"), "laptop": (tmp_path / "absent", "real")})
+    measured = table_steps.chosen([], quick=False)
+    names = [(one.category, one.kind) for one in measured]
+    assert len(set(names)) == len(names)
+    bundles = {path.stem for path in table_steps.BUNDLES.glob("*.onnx")}
+    assert {one.category for one in measured if one.kind == "test" and one.timed} == bundles
+    assert ("box", "zero-shot") in names
+    assert ("laptop", "zero-shot") not in names
+    assert len({one.recording for one in measured}) == len(measured)
+    (own,) = (one for one in table_steps.chosen([f"laptop={tmp_path}"], quick=False) if one.category == "laptop")
+    assert (own.recording, own.kind) == (tmp_path, "given")
