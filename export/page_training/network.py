@@ -39,6 +39,8 @@ POSITION_SCALE = 0.25
 LEAST_THICKNESS = 0.05
 # Looks at the object from its parts' guessed frames, by the same weights.
 REFINEMENTS = 2
+# Points each look sees, of all parts together: its cost, which grows with their number, stays that of two parts.
+LOOKED_AT = 1024
 # Of every dense point, below the heads.
 FEATURES = 96
 
@@ -131,6 +133,7 @@ class PageNetwork(nn.Module):
         self.part_vector = nn.Sequential(Dense(128 + 3, 128), Dense(128, 128))
         self.extents = nn.Linear(128, 3)
         self.part_keypoints = nn.Linear(128, 3 * num_keypoints)
+        self.looked_at = LOOKED_AT // num_parts
         self.refiner = CanonicalRefiner(128, num_parts, num_keypoints, 128)
         self.up1 = FeaturePropagation(128 + 128 + 3 * num_keypoints, 6, 128)
         self.after_up1 = Dense(128, 128)
@@ -177,11 +180,12 @@ class PageNetwork(nn.Module):
         probabilities = functional.softmax(coarse_logits, dim=-1)
         guess = self.part_keypoints(vectors).view(-1, self.num_parts, self.num_keypoints, 3)
         guesses = [guess]
-        known = self.refiner.prepared(g1, probabilities)
+        looked = min(level[1].shape[1], self.looked_at)
+        known = self.refiner.prepared(g1[:, :looked], probabilities[:, :looked])
         for _ in range(REFINEMENTS):
             # Each look learns from where the one before ended; its gradient would only blur what that one learns.
             frames = self._frames(guess)
-            correction, addition = self.refiner(frames, level[1], known, probabilities)
+            correction, addition = self.refiner(frames, level[1][:, :looked], known, probabilities[:, :looked])
             guess = frames.place(self.unit_keypoints + correction)
             vectors = vectors + addition
             guesses.append(guess)
