@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,7 +87,7 @@ def test_a_look_is_of_the_newest_frame_and_does_not_wait_for_the_scorer() -> Non
     assert indices == sorted(set(indices))
     for index in indices:
         taken_s = follower.taken_s[index]
-        assert not [k for k, sent_s in enumerate(source.sent_s) if index < k and sent_s < taken_s - 0.02]
+        assert not [k for k, sent_s in enumerate(source.sent_s) if index < k and sent_s < taken_s - 0.05]
     # Begun as soon as there was room a look would wait 50 ms; after the first ones it is known how long they take.
     waited_s = (follower.asked_s - follower.looked_s)[indices[3:]]
     assert np.median(waited_s) < 0.025
@@ -178,3 +181,93 @@ def test_on_fewer_processors_one_frame_comes_after_the_other(monkeypatch: pytest
         assert threading.active_count() <= before + 1
         assert len(list(loop)) == 3
     assert np.isnan(follower.looked_s).all()
+
+
+def test_closing_ends_a_look_that_goes_on_and_its_thread() -> None:
+    class Long(IdleAhead):
+        begun = threading.Event()
+
+        def look(self, recorded: RecordedFrame, deadline: Deadline) -> int:
+            if recorded.frame.index:
+                self.begun.set()
+                for _ in range(500):
+                    if deadline.stopping():
+                        break
+                    time.sleep(0.01)
+            return super().look(recorded, deadline)
+
+    before, follower = threading.active_count(), Long()
+    with LiveLoop(numbered_recording(5), follower) as loop:
+        assert next(loop).frame.index == 0
+        assert follower.begun.wait(5)
+        began_s = time.monotonic()
+    assert time.monotonic() - began_s < 0.8
+    assert threading.active_count() == before
+    assert loop.counts.waiting == 0
+
+
+def test_a_result_is_not_as_old_as_a_pause_of_whoever_takes_them() -> None:
+    with LiveLoop(PacedSource(10**6, 0.01), IdleAhead(0.02, 0.04)) as loop:
+        for _ in range(6):
+            next(loop)
+        time.sleep(1.0)
+        paused = next(loop)
+        assert paused.latency_ms < 500
+        counts = next(loop).counts
+    assert counts.received == counts.processed + counts.dropped + counts.waiting
+
+
+def test_a_frame_whose_event_raises_is_not_counted_as_waiting_for_ever() -> None:
+    class Failing(IdleAhead):
+        def answer(self, recorded: RecordedFrame, looked: int, deadline: Deadline) -> Followed:
+            if recorded.frame.index < 1:
+                raise ZeroDivisionError
+            return super().answer(recorded, looked, deadline)
+
+    def refuse(fault: FrameFault) -> None:
+        raise KeyError(str(fault))
+
+    with LiveLoop(numbered_recording(4), Failing(), on_event=refuse) as loop:
+        with pytest.raises(KeyError):
+            next(loop)
+        *_, last = list(loop)
+    assert (last.counts.processed, last.counts.dropped, last.counts.waiting) == (3, 1, 0)
+
+
+def test_the_counters_hold_when_another_thread_closes_the_loop() -> None:
+    loop = LiveLoop(PacedSource(10**6, 0.005), IdleAhead(0.005, 0.1))
+    threading.Timer(0.15, loop.close).start()
+    for result in loop:
+        counts = result.counts
+        assert counts.waiting >= 0
+        assert counts.received == counts.processed + counts.dropped + counts.waiting
+    assert loop.counts.waiting == 0
+
+
+def test_a_program_that_ends_in_the_middle_of_a_look_ends_well(tmp_path: Path) -> None:
+    script = tmp_path / "ends.py"
+    script.write_text(
+        """
+import sys
+from page_runtime import Network, open_source
+from page_runtime.live import loop
+from page_runtime.live.each import EachByItself
+
+loop.available_processors = lambda: loop.LOOK_AHEAD_PROCESSORS
+
+
+class Many:
+    most = None
+
+    def locate(self, recorded):
+        return [recorded.instances[0].region] * (1 if recorded.frame.index == 0 else 600)
+
+
+results = loop.LiveLoop(open_source(sys.argv[1]), EachByItself(Network(sys.argv[2], threads=1), Many()))
+print(next(results).frame.index)
+"""
+    )
+    given = [str(ROOT / "tests" / "data" / "box"), str(ROOT / "runtime" / "bundles" / "box.onnx")]
+    done = subprocess.run([sys.executable, str(script), *given], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "0\n"

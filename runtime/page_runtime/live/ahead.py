@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from page_runtime.live.slot import STOP_WAIT_S, FrameSlot, Received
+from page_runtime.live.slot import FrameSlot, Received
 
 # Of what a look is expected to take: one that is a little slower than the last still ends in time.
 SPARE = 1.25
@@ -25,14 +26,16 @@ class _Raised:
 class _Seen(Generic[T]):
     received: Received
     seen: T | _Raised
+    ended_s: float
 
 
 class LookingAhead(Generic[T]):
     """Takes frames from `slot` and gives each to `look`, one ahead of whoever takes the results.
 
     A look begins so late that it ends when the work on the result before it does, as long as that took the last time:
-    it is of the newest frame then, and has not waited for the scorer. Frames of a recording (`in_time` False), all of
-    which are worked on, are looked at as soon as there is room.
+    it is of the newest frame then, and has not waited for the scorer. Where that takes longer than the last time, and
+    what was seen has waited for more than another look would take, the newer frame is looked at and this one dropped.
+    Frames of a recording (`in_time` False), all of which are worked on, are looked at as soon as there is room.
     """
 
     def __init__(self, slot: FrameSlot, look: Callable[[Received], T], *, in_time: bool = True) -> None:
@@ -45,6 +48,8 @@ class LookingAhead(Generic[T]):
         self._taken_s = self._work_s = self._look_s = 0.0
         self._thread = threading.Thread(target=self._run, name="looking ahead", daemon=True)
         self._thread.start()
+        # An interpreter that ends while a daemon thread is inside onnxruntime aborts.
+        atexit.register(self._end)
 
     def take(self) -> tuple[Received, T] | None:
         """The next frame with what was seen in it; None when the slot has ended, or was stopped before this was called.
@@ -52,7 +57,10 @@ class LookingAhead(Generic[T]):
         with self._changed:
             if self._slot.closing:
                 return None
-            self._work_s = time.monotonic() - self._taken_s
+            self._work_s = time.monotonic() - self._taken_s if self._taken_s else 0.0
+            if self._is_stale():
+                self._ready = None
+                self._slot.abandoned()
             self._wanted = True
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._ready is not None or self._finished)
@@ -69,20 +77,36 @@ class LookingAhead(Generic[T]):
             raise self._error
         return None
 
-    def close(self) -> None:
-        """Wait for the thread, which ends with the slot; a look longer than STOP_WAIT_S is left to itself."""
+    def close(self, seconds: float) -> None:
+        """Wait for the thread, which ends with the slot; a look that takes longer than that is left to itself."""
+        with self._changed:
+            self._ready = None
+            self._changed.notify_all()
+        self._thread.join(seconds)
+        if not self._thread.is_alive():
+            atexit.unregister(self._end)
+
+    def _end(self) -> None:
+        self._slot.close()
         with self._changed:
             self._changed.notify_all()
-        self._thread.join(STOP_WAIT_S)
+        self._thread.join()
+
+    def _is_stale(self) -> bool:
+        ready = self._ready
+        if not self._in_time or ready is None or isinstance(ready.seen, _Raised) or not self._slot.has_waiting:
+            return False
+        return time.monotonic() - ready.ended_s > self._look_s
 
     def _run(self) -> None:
         try:
             while self._wait_for_its_time() and (received := self._slot.take()) is not None:
                 began_s = time.monotonic()
                 seen = self._seen(received)
-                self._look_s = time.monotonic() - began_s
+                ended_s = time.monotonic()
+                self._look_s = ended_s - began_s
                 with self._changed:
-                    self._ready = _Seen(received, seen)
+                    self._ready = _Seen(received, seen, ended_s)
                     self._changed.notify_all()
         except BaseException as error:
             # The source's; raised to whoever takes the next result, as in FrameSlot.

@@ -21,7 +21,7 @@ from page_runtime.live.ahead import LookingAhead
 from page_runtime.live.deadline import Deadline
 from page_runtime.live.faults import MOST_FAILING, FrameFault, FramesFailing, attempt
 from page_runtime.live.result import LiveObject, LiveResult, LiveState, LoopCounts
-from page_runtime.live.slot import FrameSlot, Received
+from page_runtime.live.slot import STOP_WAIT_S, FrameSlot, Received
 from page_runtime.machine import available_processors
 from page_runtime.recorded import RecordedFrame, Source
 
@@ -149,9 +149,10 @@ class LiveLoop:
 
     def close(self) -> None:
         """Stop, and give the threads back; a frame that waits counts as dropped."""
+        began_s = time.monotonic()
         self._slot.close()
         if self._ahead is not None:
-            self._ahead.close()
+            self._ahead.close(max(0.1, began_s + STOP_WAIT_S - time.monotonic()))
 
     def __enter__(self) -> LiveLoop:
         return self
@@ -185,18 +186,18 @@ class LiveLoop:
 
     def _deadline_of(self, received: Received) -> Deadline:
         at_s = None if self._deadline_s is None else received.received_s + self._deadline_s
-        return Deadline(at_s, lambda: self.stopping)
+        return Deadline(at_s, lambda: self._slot.closing)
 
     def _result(self, received: Received, work: _Work) -> LiveResult:
         recorded = received.recorded
         try:
             followed = work()
+            if isinstance(followed, FrameFault):
+                followed = Followed((), self._state, reason=followed.reason, faults=(followed,), failed=True)
+            self._note(followed)
         except BaseException:
             self._slot.abandoned()
             raise
-        if isinstance(followed, FrameFault):
-            followed = Followed((), self._state, reason=followed.reason, faults=(followed,), failed=True)
-        self._note(followed)
         late = self._deadline_of(received).passed
         latency_ms = 1e3 * (time.monotonic() - received.received_s)
         counts = self._slot.answered(

@@ -67,7 +67,11 @@ class FrameSlot:
     def answered(self, *, late: bool, searched: int, tracked: int, lost: int, failed: bool = False) -> LoopCounts:
         """Count a frame that was taken as processed; the counters after that."""
         with self._changed:
-            self._in_hand -= 1
+            if self._in_hand:
+                self._in_hand -= 1
+            else:
+                # Counted as dropped by a `close` in another thread, meanwhile.
+                self._counts = replace(self._counts, dropped=self._counts.dropped - 1)
             self._counts = replace(
                 self._counts,
                 processed=self._counts.processed + 1,
@@ -82,7 +86,7 @@ class FrameSlot:
     def abandoned(self) -> None:
         """Count a frame that was taken, and of which nothing will come, as dropped."""
         with self._changed:
-            self._drop(1)
+            self._drop(min(1, self._in_hand))
 
     @property
     def counts(self) -> LoopCounts:
@@ -92,6 +96,12 @@ class FrameSlot:
 
     def _with_waiting(self) -> LoopCounts:
         return replace(self._counts, waiting=self._in_hand + int(self._waiting is not None))
+
+    @property
+    def has_waiting(self) -> bool:
+        """Whether a frame waits to be taken."""
+        with self._changed:
+            return self._waiting is not None
 
     @property
     def closing(self) -> bool:
