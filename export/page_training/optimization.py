@@ -6,9 +6,10 @@ import math
 
 import torch
 from torch import nn
-from torch.optim import AdamW, Muon, Optimizer
+from torch.optim import AdamW, Optimizer
 
 from page_training.config import TrainingConfig
+from page_training.muon import Muon
 
 LEAST_MATRIX = 16
 
@@ -24,7 +25,7 @@ def optimizers_for(network: nn.Module, config: TrainingConfig) -> tuple[Optimize
     chosen = {id(p) for p in matrices}
     others = [p for p in network.parameters() if id(p) not in chosen]
     return (
-        Muon(matrices, config.learning_rate, weight_decay=config.weight_decay, adjust_lr_fn="match_rms_adamw"),
+        Muon(matrices, config.learning_rate, weight_decay=config.weight_decay),
         AdamW(others, config.learning_rate, weight_decay=config.weight_decay),
     )
 
