@@ -1,4 +1,4 @@
-"""Fixtures that several tests share: the toy's recording and the bundle that knows it."""
+"""Fixtures that several tests share: the toy's recording with the bundle that knows it, the boxes that are followed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import followed_boxes
 import toy
 
 if TYPE_CHECKING:
@@ -59,3 +60,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no shared data: set PAGE_SHARED_DATA to its folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def network() -> Network:
+    """The shipped network of boxes."""
+    return followed_boxes.box_network()
+
+
+@pytest.fixture(scope="session")
+def frames(network: Network) -> list[RecordedFrame]:
+    """Frames of boxes in which the network is right. Read only."""
+    return followed_boxes.good_frames(network)

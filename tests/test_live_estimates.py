@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from followed_boxes import PERIOD_S, ROOT, apart, box_network, good_frames, region_of
+from followed_boxes import PERIOD_S, ROOT, apart, region_of
 from page_runtime import Network, RecordedFrame, estimator, open_source
 from page_runtime.estimator import examine
 from page_runtime.geometry import apply, invert
@@ -18,16 +18,6 @@ from page_runtime.live.vote_window import votes_near
 from page_runtime.pose import PartPose
 from page_runtime.scoring import score_keypoints
 from page_runtime.stopwatch import Stopwatch
-
-
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return box_network()
-
-
-@pytest.fixture(scope="module")
-def frames(network: Network) -> list[RecordedFrame]:
-    return good_frames(network)
 
 
 def test_the_estimate_from_an_expected_pose_is_that_of_the_search(

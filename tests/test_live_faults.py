@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import page_runtime.network as network_module
-from followed_boxes import ROOT, at, box_network, good_frames, hidden, only, region_of
+from followed_boxes import ROOT, at, hidden, only, region_of
 from page_runtime import Network, RecordedFrame, live_results, open_source
 from page_runtime.bundle import BundleMetadata
 from page_runtime.cli import EXIT_FRAMES_FAILING, main
@@ -31,16 +31,6 @@ from page_runtime.recorded import FrameEntry, Instance, Source
 from page_runtime.sampling import Region, RegionSample
 
 BOXES = ROOT / "tests" / "data" / "box"
-
-
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return box_network()
-
-
-@pytest.fixture(scope="module")
-def frames(network: Network) -> list[RecordedFrame]:
-    return good_frames(network)
 
 
 class BadInput:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from followed_boxes import PERIOD_S, box_network, good_frames, region_of
+from followed_boxes import PERIOD_S, region_of
 from page_runtime import Network, RecordedFrame
 from page_runtime.estimator import Examined, examine
 from page_runtime.frame import RgbdFrame
@@ -24,16 +24,6 @@ from page_runtime.live.track import Track, begun
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.recorded import Instance
 from page_runtime.sampling import Region
-
-
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return box_network()
-
-
-@pytest.fixture(scope="module")
-def frames(network: Network) -> list[RecordedFrame]:
-    return good_frames(network)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from followed_boxes import ROOT, apart, at, box_network, good_frames, only, region_of
+from followed_boxes import ROOT, apart, at, only, region_of
 from page_runtime import Network, RecordedFrame, live_results, open_source
 from page_runtime.estimator import estimate, examine, first_look
 from page_runtime.frame import RgbdFrame
@@ -18,16 +18,6 @@ from page_runtime.live.following import Tracking
 from page_runtime.live.locate import OwnRegions, covered, overlap
 from page_runtime.live.loop import LiveLoop
 from page_runtime.sampling import Region
-
-
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return box_network()
-
-
-@pytest.fixture(scope="module")
-def frames(network: Network) -> list[RecordedFrame]:
-    return good_frames(network)
 
 
 def test_every_frame_by_itself_is_what_estimate_says(network: Network, frames: list[RecordedFrame]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from followed_boxes import apart, at, box_network, good_frames, hidden, only, region_of
+from followed_boxes import apart, at, hidden, only, region_of
 from page_runtime import Network, RecordedFrame
 from page_runtime.estimator import Examined, estimate, examine
 from page_runtime.frame import RgbdFrame
@@ -18,16 +18,6 @@ from page_runtime.live.deadline import Deadline
 from page_runtime.live.following import Tracking
 from page_runtime.live.locate import FixedRegion, OwnRegions
 from page_runtime.sampling import Region
-
-
-@pytest.fixture(scope="module")
-def network() -> Network:
-    return box_network()
-
-
-@pytest.fixture(scope="module")
-def frames(network: Network) -> list[RecordedFrame]:
-    return good_frames(network)
 
 
 def test_an_object_is_followed_under_its_number_at_the_pose_a_full_search_finds(
