@@ -16,7 +16,7 @@ from page_export.cli import main
 from page_export.onnx_export import write_bundle
 from page_export.parity import samples_of
 from page_runtime.bundle import BundleError, category_document
-from page_runtime.bundle_file import read_bundle
+from page_runtime.bundle_file import read_bundle, read_metadata
 from page_runtime.capture.playback import open_source
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network, feeds
 from page_training.categories import CATEGORIES
@@ -83,6 +83,7 @@ def test_of_several_objects_it_says_what_it_says_of_each_alone(dynamic: onnx.Mod
 def test_the_runtime_refuses_any_batch_but_one_and_says_how_to_get_it(exported: Path, tmp_path: Path) -> None:
     with pytest.raises(BundleError, match=r"dynamic\.onnx: it takes a free number of objects .* without --batch"):
         Network(exported)
+    assert read_metadata(exported).category.name == "laptop"
     write_bundle(with_rows(onnx.load(exported), 2), LAPTOP, tmp_path / "two.onnx", mirrored=True, provenance={})
     with pytest.raises(BundleError, match=r"two\.onnx: it takes 2 objects at once"):
         Network(tmp_path / "two.onnx")

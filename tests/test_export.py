@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import onnx
 import pytest
 import torch
@@ -24,7 +23,7 @@ from page_export.parity import (
     samples_of,
 )
 from page_export.parity_commands import table
-from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata, category_document
+from page_runtime.bundle import METADATA_KEY, BundleError, category_document
 from page_runtime.capture.playback import open_source
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
@@ -173,38 +172,6 @@ def test_bundle_is_one_small_file_of_standard_operators(bundle: Path) -> None:
     assert tuple(value.name for value in model.graph.output) == OUTPUT_NAMES
     for place in (Path.home(), Path(__file__).parent.parent, Path(sys.prefix)):
         assert str(place.resolve()).encode() not in bundle.read_bytes()
-
-
-def test_metadata_survives_the_round_trip(bundle: Path) -> None:
-    metadata = Network(bundle, threads=1).metadata
-    assert BundleMetadata.from_json(metadata.to_json()).to_json() == metadata.to_json()
-    assert metadata.category.name == "box"
-    for ours, theirs in zip(metadata.category.parts, BOX.parts, strict=True):
-        np.testing.assert_array_equal(ours.keypoints_unit, theirs.keypoints_unit)
-        assert ours.frame == theirs.frame
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        (lambda d: d.update(version=99), "version 4, got 99"),
-        (lambda d: d.update(mirrored="yes"), "mirrored: expected true or false, got 'yes'"),
-        (lambda d: d.pop("voxel_m"), "missing .*voxel_m"),
-        (lambda d: d.update(surprise=1), "not understood .*surprise"),
-        (lambda d: d["parts"][0].pop("frame"), "part: missing .*frame"),
-        (lambda d: d["parts"][0].update(keypoints_unit=[[0, 0]]), "keypoints_unit"),
-        (lambda d: d["joints"][0].update(kind="elastic"), "elastic"),
-        (lambda d: d["joints"][0].update(child=7), "no part index"),
-        (lambda d: d.update(num_points="many"), "many"),
-        (lambda d: d.update(voxel_m=-0.005), "voxel_m"),
-        (lambda d: d.update(region_radius_m=float("nan")), "region_radius_m"),
-    ],
-)
-def test_metadata_that_is_not_understood_whole_is_refused(bundle: Path, change, word: str) -> None:
-    document = json.loads(Network(bundle, threads=1).metadata.to_json())
-    change(document)
-    with pytest.raises(BundleError, match=word):
-        BundleMetadata.from_json(json.dumps(document))
 
 
 def rewritten(bundle: Path, path: Path, change) -> Path:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from page_runtime.bundle import BundleMetadata
+from page_runtime.bundle_figures import PartFigures
 from page_runtime.capture.documents import field, listed, read_object
 from page_runtime.category import Joint, Part
 from page_runtime.image_files import SourceError
@@ -43,6 +44,33 @@ def read_figures(label: str, path: Path, category: str) -> Figures:
     return Figures(label, document)
 
 
+def part_figures(figures: Sequence[Figures]) -> tuple[PartFigures, ...]:
+    """What of them is kept in a bundle."""
+
+    def pair(values: dict[str, float | None]) -> tuple[float | None, float | None]:
+        return _rounded(values["mean"]), _rounded(values["median"])
+
+    return tuple(
+        PartFigures(
+            data=one.label,
+            instances=int(one.document["instances"]),
+            part=part["name"],
+            rotation_deg=pair(part["rotation_deg"]),
+            translation_m=pair(part["translation_m"]),
+            translation_share=pair(part["translation_share"]),
+            acc_5deg5cm=_rounded(part["acc_5deg5cm"]),
+            failure_rate=_rounded(part["failure_rate"]),
+        )
+        for one in figures
+        for part in one.document["parts"]
+    )
+
+
+def _rounded(value: float | None) -> float | None:
+    """To the digits that a few hundred frames can know."""
+    return None if value is None else float(f"{value:.4g}")
+
+
 def card(name: str, metadata: BundleMetadata, size_bytes: int, figures: Sequence[Figures]) -> str:
     """The card as Markdown."""
     category, provenance = metadata.category, metadata.provenance
@@ -64,7 +92,7 @@ def card(name: str, metadata: BundleMetadata, size_bytes: int, figures: Sequence
         "## Figures",
         "Mean / median over the visible parts that have a pose. Failure: no pose, or worse than 30 degrees or half the "
         "part's diagonal.",
-        _table(figures) if figures else "Not measured.",
+        _measured(metadata, figures),
         "## Limits",
         _limits(metadata),
     ]
@@ -101,30 +129,31 @@ def _training(provenance: dict[str, Any]) -> str:
     )
 
 
-def _table(figures: Sequence[Figures]) -> str:
+def _measured(metadata: BundleMetadata, figures: Sequence[Figures]) -> str:
+    """Of `figures`, or where none are given of those that the bundle keeps, which say nothing of joints."""
+    kept = part_figures(figures) or metadata.figures
+    if not kept:
+        return "Not measured."
     rows = [
         "| data | part | rotation, deg | translation, mm | of diagonal, % | 5 deg 5 cm, % | failures, % |",
         "|---|---|---|---|---|---|---|",
     ]
+    rows += [
+        f"| {one.data}, {one.instances} objects | {one.part} | {_pair(one.rotation_deg, 1.0)} "
+        f"| {_pair(one.translation_m, 1e3)} | {_pair(one.translation_share, 100.0)} | {_share(one.acc_5deg5cm)} "
+        f"| {_share(one.failure_rate)} |"
+        for one in kept
+    ]
     for one in figures:
-        for part in one.document["parts"]:
-            rows.append(
-                f"| {one.label}, {one.document['instances']} objects | {part['name']} "
-                f"| {_pair(part['rotation_deg'], 1.0)} | {_pair(part['translation_m'], 1e3)} "
-                f"| {_pair(part['translation_share'], 100.0)} | {_share(part['acc_5deg5cm'])} "
-                f"| {_share(part['failure_rate'])} |"
-            )
         for joint in one.document["joints"]:
             factor, unit = (1e3, "mm") if joint["unit"] == "m" else (1.0, joint["unit"])
-            state = f"{_pair(joint['error'], factor)} {unit}"
+            state = f"{_pair((joint['error']['mean'], joint['error']['median']), factor)} {unit}"
             rows.append(f"| {one.label} | state of the {joint['name']} | {state} | | | | |")
     return "\n".join(rows)
 
 
-def _pair(values: dict[str, float | None], factor: float) -> str:
-    return " / ".join(
-        "-" if (value := values[name]) is None else f"{factor * value:.1f}" for name in ("mean", "median")
-    )
+def _pair(values: tuple[float | None, float | None], factor: float) -> str:
+    return " / ".join("-" if value is None else f"{factor * value:.1f}" for value in values)
 
 
 def _share(value: float | None) -> str:

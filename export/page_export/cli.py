@@ -92,6 +92,17 @@ def main(arguments: list[str] | None = None) -> int:
         help="what `page-runtime validate --json` wrote, and of what; may be given several times",
     )
     card.set_defaults(run_command=_card)
+    figures = commands.add_parser("figures", help="keep test figures in a bundle")
+    figures.add_argument("bundle", type=Path)
+    figures.add_argument(
+        "--of",
+        nargs=2,
+        action="append",
+        required=True,
+        metavar=("LABEL", "FILE"),
+        help="what `page-runtime validate --json` wrote, and of what; may be given several times",
+    )
+    figures.set_defaults(run_command=_figures)
     options = parser.parse_args(arguments)
     try:
         return options.run_command(options)
@@ -175,6 +186,23 @@ def _card(options: argparse.Namespace) -> int:
     figures = [read_figures(label, Path(file), metadata.category.name) for label, file in options.figures]
     options.output.write_text(card(options.bundle.name, metadata, options.bundle.stat().st_size, figures))
     print(options.output)
+    return 0
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    import onnx
+
+    from page_export.bundle_writer import bundle_bytes, write_file
+    from page_export.card import part_figures, read_figures
+    from page_runtime.bundle_file import read_metadata
+
+    metadata = read_metadata(options.bundle)
+    figures = [read_figures(label, Path(file), metadata.category.name) for label, file in options.of]
+    kept = replace(metadata, figures=part_figures(figures))
+    write_file(bundle_bytes(onnx.load(options.bundle), kept), options.bundle)
+    print(f"{options.bundle}: figures of {', '.join(one.label for one in figures)}")
     return 0
 
 

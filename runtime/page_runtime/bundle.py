@@ -10,13 +10,26 @@ import json
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from page_runtime.bundle_figures import PartFigures, figures_document, figures_from
 from page_runtime.category import Category, Joint, JointGeometry, Part
 from page_runtime.confidence import FEATURES, ConfidenceModel
 from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_runtime.template import template_document, template_from
 
 METADATA_KEY = "page.bundle"
-METADATA_VERSION = 4
+METADATA_VERSION = 5
+# What the runtime does to a frame before the network sees it (`sampling`, `neighbours`, `network.feeds`), in words: a
+# bundle of a network trained on anything else is refused. Change it together with those modules.
+PREPROCESSING = {
+    "image": "RGB, float32 in [0, 1]: the square around the region, a tenth of its side wider on every side, black "
+    "beyond the image, scaled",
+    "points": "float32: depth readings within region_radius_m of the region's centre, camera axes, minus their mean, "
+    "divided by region_radius_m",
+    "order": "of the R2 sequence over the picture's pixels, repeated where there are fewer points than are asked for",
+    "pixels": "float32: px of the scaled picture, integers at pixel centres",
+}
+MAX_POINTS, MAX_IMAGE_SIZE = 1 << 15, 1 << 11
+VOXELS_M = (5e-4, 0.1)
 
 
 class BundleError(ValueError):
@@ -29,8 +42,8 @@ class BundleMetadata:
 
     num_points, image_size: N and S of its inputs. voxel_m: rho of the scorer. opset: of the graph. mirrored: whether
     the network was trained on mirror images too, and so may be asked about one (`mirror`).
-    provenance: facts for people (commit, recipe, frames, figures); the runtime reads none. confidence: None until the
-    bundle is calibrated.
+    provenance: facts for people (commit, recipe, frames); the runtime reads none. confidence: None until the bundle is
+    calibrated. figures: what it reached on test data, empty until measured.
     """
 
     category: Category
@@ -41,13 +54,19 @@ class BundleMetadata:
     mirrored: bool
     provenance: dict[str, Any]
     confidence: ConfidenceModel | None = None
+    figures: tuple[PartFigures, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.num_points <= 0 or self.image_size <= 0 or not 0 < self.voxel_m < 1:
+        if not (0 < self.num_points <= MAX_POINTS and 0 < self.image_size <= MAX_IMAGE_SIZE):
             raise ValueError(
-                f"expected positive num_points and image_size and 0 < voxel_m < 1, "
-                f"got {self.num_points}, {self.image_size} and {self.voxel_m}"
+                f"expected 1 to {MAX_POINTS} points and pictures of 1 to {MAX_IMAGE_SIZE} px, "
+                f"got {self.num_points} and {self.image_size}"
             )
+        if not VOXELS_M[0] <= self.voxel_m <= VOXELS_M[1]:
+            raise ValueError(f"voxel_m: expected {VOXELS_M[0]} to {VOXELS_M[1]} m, got {self.voxel_m}")
+        unknown = {one.part for one in self.figures} - {part.name for part in self.category.parts}
+        if unknown:
+            raise ValueError(f"figures: expected those of the category's parts, got {sorted(unknown)}")
         if self.mirrored and not self.category.joints_mirror:
             raise ValueError(
                 f"mirrored: expected false, as the joints of {self.category.name!r} are not their own mirror image "
@@ -64,10 +83,12 @@ class BundleMetadata:
             "voxel_m": self.voxel_m,
             "opset": self.opset,
             "mirrored": self.mirrored,
+            "preprocessing": PREPROCESSING,
             "provenance": self.provenance,
             "confidence": None if self.confidence is None else _confidence_document(self.confidence),
+            "figures": [figures_document(one) for one in self.figures],
         }
-        return json.dumps(document, indent=1)
+        return json.dumps(document, separators=(",", ":"))
 
     @staticmethod
     def from_json(text: str) -> BundleMetadata:
@@ -81,16 +102,22 @@ class BundleMetadata:
             raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
         top = _closed(document, "bundle", _CATEGORY_FIELDS | _OWN_FIELDS)
         category = category_from({name: top[name] for name in _CATEGORY_FIELDS})
+        if top["preprocessing"] != PREPROCESSING:
+            raise BundleError(
+                "bundle metadata, preprocessing: expected what this runtime does to a frame "
+                f"({json.dumps(PREPROCESSING)}), got {json.dumps(top['preprocessing'])[:400]}; export it again"
+            )
         try:
             return BundleMetadata(
                 category=category,
-                num_points=int(top["num_points"]),
-                image_size=int(top["image_size"]),
+                num_points=_whole(top, "num_points"),
+                image_size=_whole(top, "image_size"),
                 voxel_m=float(top["voxel_m"]),
-                opset=int(top["opset"]),
+                opset=_whole(top, "opset"),
                 mirrored=_yes_or_no(top, "mirrored"),
                 provenance=dict(top["provenance"]),
                 confidence=None if top["confidence"] is None else _confidence(top["confidence"]),
+                figures=tuple(figures_from(one) for one in _listed(top, "figures")),
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise BundleError(f"bundle metadata: {error}") from error
@@ -137,7 +164,7 @@ def category_from(document: dict[str, Any]) -> Category:
             name=str(top["category"]),
             parts=parts,
             joints=joints,
-            num_voted=int(top["num_voted"]),
+            num_voted=_whole(top, "num_voted"),
             region_radius_m=float(top["region_radius_m"]),
             mirror=None if top["mirror"] is None else _mirror(_closed(top["mirror"], "mirror", {"axis", "parts"})),
             interchange=None if top["interchange"] is None else _interchange(top["interchange"]),
@@ -147,7 +174,7 @@ def category_from(document: dict[str, Any]) -> Category:
 
 
 def _mirror(entry: dict[str, Any]) -> Mirror:
-    return Mirror(int(entry["axis"]), tuple(int(part) for part in entry["parts"]))
+    return Mirror(_whole(entry, "axis"), tuple(int(part) for part in entry["parts"]))
 
 
 def _interchange(entry: Any) -> Interchange:
@@ -157,7 +184,7 @@ def _interchange(entry: Any) -> Interchange:
 
 def _symmetry(entry: Any) -> Symmetry:
     closed = _closed(entry, "symmetry", {"axis", "fold"})
-    return Symmetry(_triple(closed, "axis"), int(closed["fold"]))
+    return Symmetry(_triple(closed, "axis"), _whole(closed, "fold"))
 
 
 def _triple(entry: dict[str, Any], name: str) -> tuple[float, float, float]:
@@ -174,7 +201,10 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints", "mirror", "interchange"}
-_OWN_FIELDS = {"version", "num_points", "image_size", "voxel_m", "opset", "mirrored", "provenance", "confidence"}
+_OWN_FIELDS = {
+    "version", "num_points", "image_size", "voxel_m", "opset", "mirrored", "preprocessing", "provenance", "confidence",
+    "figures",
+}  # fmt: skip
 _PART_FIELDS = {"name", "frame", "keypoints_unit", "extents_unit", "diagonal_range_m", "template", "symmetry"}
 _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"}
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
@@ -192,6 +222,12 @@ def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
 def _listed(entry: dict[str, Any], name: str) -> list[Any]:
     if not isinstance(entry[name], list):
         raise BundleError(f"bundle metadata, {name}: expected a list, got {type(entry[name]).__name__}")
+    return entry[name]
+
+
+def _whole(entry: dict[str, Any], name: str) -> int:
+    if not isinstance(entry[name], int) or isinstance(entry[name], bool):
+        raise ValueError(f"{name}: expected a whole number, got {entry[name]!r}")
     return entry[name]
 
 
@@ -224,8 +260,8 @@ def _joint(entry: dict[str, Any]) -> Joint:
         low, high = (float(value) for value in entry["limits"])
         return Joint(
             name=str(entry["name"]),
-            parent=int(entry["parent"]),
-            child=int(entry["child"]),
+            parent=_whole(entry, "parent"),
+            child=_whole(entry, "child"),
             kind=entry["kind"],
             axis=_triple(entry, "axis"),
             limits=(low, high),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.graph_limits import Size, size_of
-from page_runtime.onnx_file import read_onnx
+from page_runtime.onnx_file import OnnxFile, read_onnx
 from page_runtime.wire import WireError
 
 MAX_BUNDLE_BYTES = 64 << 20
@@ -22,29 +24,48 @@ class BundleFile:
     size: Size
 
 
+def read_metadata(path: Path) -> BundleMetadata:
+    """What a bundle says of itself, also one for several objects at once, which no `Network` takes. Errors as of
+    `read_bundle`; the size of its graph is not looked at, as nothing of it may be run."""
+    with _named(path):
+        return _read(path)[2]
+
+
 def read_bundle(path: Path) -> BundleFile:
     """Read and check a bundle; BundleError with the reason for what is not one. OSError where it cannot be read.
 
     Nothing is loaded or computed: the work is bounded by MAX_BUNDLE_BYTES and the limits of `onnx_file` and
     `graph_limits`.
     """
+    with _named(path):
+        data, file, metadata = _read(path)
+        _check_batch({shape[0] for shape in file.graph.inputs.values() if shape})
+        return BundleFile(data, metadata, size_of(file.graph))
+
+
+def _read(path: Path) -> tuple[bytes, OnnxFile, BundleMetadata]:
     if not path.is_file():
-        raise BundleError(f"bundle: no file {path}; expected an .onnx file made by page-export")
-    with path.open("rb") as file:
-        data = file.read(MAX_BUNDLE_BYTES + 1)
+        raise BundleError("no such file; expected an .onnx file made by page-export")
+    with path.open("rb") as opened:
+        data = opened.read(MAX_BUNDLE_BYTES + 1)
     if not 0 < len(data) <= MAX_BUNDLE_BYTES:
         got = "more" if data else 0
-        raise BundleError(f"bundle {path}: expected 1 to {MAX_BUNDLE_BYTES} bytes, got {got}")
+        raise BundleError(f"expected 1 to {MAX_BUNDLE_BYTES} bytes, got {got}")
+    file = read_onnx(data)
+    if len(file.metadata) > 1:
+        others = sorted(file.metadata.keys() - {METADATA_KEY})
+        raise BundleError(f"its metadata has entries that are not understood: {others}")
+    metadata = BundleMetadata.from_json(file.metadata[METADATA_KEY])
+    if metadata.opset != file.graph.opset:
+        raise BundleError(f"bundle metadata: opset {metadata.opset}, but the graph's is {file.graph.opset}")
+    return data, file, metadata
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Errors that say which file."""
     try:
-        file_read = read_onnx(data)
-        if len(file_read.metadata) > 1:
-            others = sorted(file_read.metadata.keys() - {METADATA_KEY})
-            raise BundleError(f"its metadata has entries that are not understood: {others}")
-        metadata = BundleMetadata.from_json(file_read.metadata[METADATA_KEY])
-        if metadata.opset != file_read.graph.opset:
-            raise BundleError(f"bundle metadata: opset {metadata.opset}, but the graph's is {file_read.graph.opset}")
-        _check_batch({shape[0] for shape in file_read.graph.inputs.values() if shape})
-        return BundleFile(data, metadata, size_of(file_read.graph))
+        yield
     except WireError as error:
         raise BundleError(f"bundle {path}: {error}; is it a complete .onnx file of page-export?") from error
     except BundleError as error:

@@ -12,6 +12,12 @@ from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_runtime.template import Template
 
 JointKind = Literal["free", "revolute", "prismatic"]
+# Of keypoints, in diagonals: farther ones say nothing of a turn that their distance does not drown.
+MOST_UNIT = 10.0
+# Least spread of keypoints about their middle, in diagonals: of less no rotation follows.
+LEAST_SPREAD = 0.01
+# Of objects this runtime is for: a warehouse is none.
+MOST_M = 100.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,14 +45,23 @@ class Part:
             raise ValueError(
                 f"Part {self.name!r}.keypoints_unit: expected finite (n>=3, 3), got shape {keypoints.shape}"
             )
-        if extents.shape != (3,) or not (extents > 0).all():
+        spread = float(np.abs(keypoints - keypoints.mean(axis=0)).max())
+        if np.abs(keypoints).max() > MOST_UNIT or spread < LEAST_SPREAD:
+            raise ValueError(
+                f"Part {self.name!r}.keypoints_unit: expected keypoints within {MOST_UNIT:g} diagonals and at least "
+                f"{LEAST_SPREAD:g} apart, got up to {np.abs(keypoints).max():.3g} and {spread:.3g}"
+            )
+        _require_printable(self.name, "a part's name")
+        _require_printable(self.frame, f"Part {self.name!r}.frame")
+        if extents.shape != (3,) or not ((extents > 0) & np.isfinite(extents)).all():
             raise ValueError(
                 f"Part {self.name!r}.extents_unit: expected three positive numbers, got {extents.tolist()}"
             )
         low, high = self.diagonal_range_m
-        if not 0 < low < high:
+        if not 0 < low < high <= MOST_M:
             raise ValueError(
-                f"Part {self.name!r}.diagonal_range_m: expected 0 < low < high, got {self.diagonal_range_m}"
+                f"Part {self.name!r}.diagonal_range_m: expected 0 < low < high <= {MOST_M:g}, "
+                f"got {self.diagonal_range_m}"
             )
         object.__setattr__(self, "keypoints_unit", keypoints)
         object.__setattr__(self, "extents_unit", extents)
@@ -70,6 +85,9 @@ class JointGeometry:
     log_size_sigma: float
 
     def __post_init__(self) -> None:
+        numbers = (*self.pivot_parent, *self.pivot_child, *self.sigma_parent, *self.sigma_child)
+        if not np.isfinite([*numbers, self.log_size_ratio, self.log_size_sigma]).all():
+            raise ValueError("JointGeometry: expected finite numbers")
         if min(*self.sigma_parent, *self.sigma_child, self.log_size_sigma) <= 0.0:
             raise ValueError("JointGeometry: expected standard deviations > 0; give what is exact a small one, 0.001")
 
@@ -90,6 +108,16 @@ class Joint:
     axis: tuple[float, float, float]
     limits: tuple[float, float]
     geometry: JointGeometry | None = None
+
+    def __post_init__(self) -> None:
+        _require_printable(self.name, "a joint's name")
+        if self.parent == self.child:
+            raise ValueError(f"Joint {self.name!r}: expected two parts, got part {self.parent} against itself")
+        if self.kind != "free" and not abs(float(np.linalg.norm(self.axis)) - 1.0) < 1e-3:
+            raise ValueError(f"Joint {self.name!r}.axis: expected a unit vector, got {self.axis}")
+        low, high = self.limits
+        if not (np.isfinite(self.limits).all() and low <= high):
+            raise ValueError(f"Joint {self.name!r}.limits: expected finite low <= high, got {self.limits}")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -112,7 +140,12 @@ class Category:
     def __post_init__(self) -> None:
         if not self.parts:
             raise ValueError(f"Category {self.name!r}: expected at least one part")
-        if not 0 < self.region_radius_m < 100:
+        _require_printable(self.name, "a category's name")
+        if len({part.name for part in self.parts}) != len(self.parts):
+            raise ValueError(
+                f"Category {self.name!r}: expected a name for each part, got {[part.name for part in self.parts]}"
+            )
+        if not 0 < self.region_radius_m < MOST_M:
             raise ValueError(f"Category {self.name!r}: expected region_radius_m in metres, got {self.region_radius_m}")
         counts = {len(part.keypoints_unit) for part in self.parts}
         if len(counts) != 1 or not 3 <= self.num_voted <= min(counts):
@@ -123,6 +156,7 @@ class Category:
         for joint in self.joints:
             if not {joint.parent, joint.child} <= set(range(len(self.parts))):
                 raise ValueError(f"Joint {joint.name!r}: {joint.parent} or {joint.child} is no part index")
+        _require_tree(self.name, self.joints)
         for name, one in (("mirror", self.mirror), ("interchange", self.interchange)):
             if one is not None and len(one.parts) not in (0, len(self.parts)):
                 raise ValueError(f"Category {self.name!r}.{name}: expected {len(self.parts)} parts, got {one.parts}")
@@ -182,6 +216,28 @@ class Category:
                 )
             found.append(image[0])
         return tuple(found)
+
+
+def _require_printable(text: str, what: str) -> None:
+    """It is shown in terminals, which take commands from what is not printable."""
+    if not text.isprintable():
+        raise ValueError(f"{what}: expected printable characters only, got {text!r}")
+
+
+def _require_tree(name: str, joints: tuple[Joint, ...]) -> None:
+    """ValueError where a part has two parents, or is its own ancestor."""
+    parent_of: dict[int, int] = {}
+    for joint in joints:
+        if joint.child in parent_of:
+            raise ValueError(f"Category {name!r}: joint {joint.name!r} gives part {joint.child} a second parent")
+        parent_of[joint.child] = joint.parent
+    for part in parent_of:
+        seen, at = {part}, parent_of[part]
+        while at in parent_of and at not in seen:
+            seen.add(at)
+            at = parent_of[at]
+        if at in seen:
+            raise ValueError(f"Category {name!r}: expected joints that form a tree, got a loop through part {at}")
 
 
 def _joint_like(

@@ -8,17 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from page_runtime.bundle import BundleMetadata
+from page_runtime.bundle import PREPROCESSING, BundleMetadata
+from page_runtime.bundle_figures import PartFigures
+from page_runtime.bundle_file import read_metadata
 from page_runtime.category import Joint
 from page_runtime.confidence import FEATURES
-from page_runtime.network import Network
 from page_runtime.symmetry import Symmetry
 
 
 def inspect(bundle: Path, *, as_json: bool) -> None:
-    """Write the bundle's metadata to standard output, for people or as the JSON document it is."""
-    metadata = Network(bundle, threads=1).metadata
-    sys.stdout.write(metadata.to_json() + "\n" if as_json else readable(metadata, bundle))
+    """Write the bundle's metadata to standard output, for people or as the JSON document it is. Nothing of it is run,
+    and it may be one for several objects at once."""
+    metadata = read_metadata(bundle)
+    document = json.dumps(json.loads(metadata.to_json()), indent=1) + "\n"
+    sys.stdout.write(document if as_json else readable(metadata, bundle))
 
 
 def readable(metadata: BundleMetadata, bundle: Path) -> str:
@@ -32,7 +35,9 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         f"scoring        {category.num_voted} of {category.num_keypoints} keypoints of a part are voted, "
         f"voxels of {metadata.voxel_m * 1e3:g} mm",
         f"region         points within {category.region_radius_m:g} m of its middle",
-        f"mirror         {'trained on mirror images too' if metadata.mirrored else 'no'}",
+        f"mirror         {_mirror(metadata)}",
+        "input",
+        *(f"  {name:<12} {said}" for name, said in PREPROCESSING.items()),
     ]
     for k, part in enumerate(category.parts):
         low, high = part.diagonal_range_m
@@ -51,13 +56,25 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
             if part.template is None
             else f"  template     {len(part.template.points_unit)} points with normals",
         ]
-    lines += [
-        f"joint          {joint.name}: {category.parts[joint.child].name} against {category.parts[joint.parent].name}, "
-        f"{joint.kind} {'along' if joint.kind == 'prismatic' else 'about'} {_numbers(np.array(joint.axis))} "
-        f"of {category.parts[joint.parent].name}, "
-        f"state {_limits(joint)}, 0 where both frames are parallel"
-        for joint in category.joints
-    ]
+    for joint in category.joints:
+        parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
+        lines.append(
+            f"joint          {joint.name}: {child} against {parent}, "
+            f"{joint.kind} {'along' if joint.kind == 'prismatic' else 'about'} {_numbers(np.array(joint.axis))} "
+            f"of {parent}, state {_limits(joint)}, 0 where both frames are parallel"
+        )
+        if joint.geometry is not None:
+            place = joint.geometry
+            on_parent, on_child, spread_parent, spread_child = (
+                _numbers(np.array(one))
+                for one in (place.pivot_parent, place.pivot_child, place.sigma_parent, place.sigma_child)
+            )
+            lines += [
+                f"  place        {on_parent} of {parent}'s box, {on_child} of {child}'s, in its sides from the middle; "
+                f"spread over instances {spread_parent} and {spread_child} diagonals",
+                f"  sizes        {child} {np.exp(place.log_size_ratio):.2f} times {parent}'s diagonal, "
+                f"times or over {np.exp(place.log_size_sigma):.2f}",
+            ]
     if category.interchange is not None:
         renamed = ", ".join(
             f"{part.name} as {category.parts[other].name}"
@@ -73,8 +90,31 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
             "confidence     probability of 5 deg and 5 cm, calibrated; weights of its signs:",
             "  " + ", ".join(f"{name} {weight:.3g}" for name, weight in weights),
         ]
+    lines += ["figures", *map(_figures, metadata.figures)] if metadata.figures else ["figures        not measured"]
     lines += ["provenance", *(f"  {name:<12} {json.dumps(value)}" for name, value in metadata.provenance.items())]
     return "\n".join(lines) + "\n"
+
+
+def _mirror(metadata: BundleMetadata) -> str:
+    mirror = metadata.category.mirror
+    if not metadata.mirrored or mirror is None:
+        return "no"
+    names = [part.name for part in metadata.category.parts]
+    moved = [f"{names[k]} as {names[other]}" for k, other in enumerate(mirror.order(len(names))) if other != k]
+    exchanged = f", which shows {', '.join(moved)}" if moved else ""
+    return f"trained on mirror images too: along {'xyz'[mirror.axis]} of every part{exchanged}"
+
+
+def _figures(one: PartFigures) -> str:
+    def pair(values: tuple[float | None, float | None], times: float) -> str:
+        return " / ".join("-" if value is None else f"{times * value:.1f}" for value in values)
+
+    failed = "-" if one.failure_rate is None else f"{100 * one.failure_rate:.1f}"
+    return (
+        f"  {one.part}: {pair(one.rotation_deg, 1.0)} deg, {pair(one.translation_m, 1e3)} mm, "
+        f"{pair(one.translation_share, 100.0)} % of the diagonal (mean / median), {failed} % failures; "
+        f"{one.data}, {one.instances} objects"
+    )
 
 
 def _turns(symmetry: Symmetry) -> str:
