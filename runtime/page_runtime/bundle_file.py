@@ -7,7 +7,7 @@ from pathlib import Path
 
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.graph_limits import Size, size_of
-from page_runtime.onnx_file import read_onnx
+from page_runtime.onnx_file import OnnxGraph, read_onnx
 from page_runtime.wire import WireError
 
 MAX_BUNDLE_BYTES = 64 << 20
@@ -15,10 +15,12 @@ MAX_BUNDLE_BYTES = 64 << 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BundleFile:
-    """data: the file's bytes, an ONNX model that is safe to load. size: of its graph."""
+    """data: the file's bytes, an ONNX model that is safe to load. size: of its graph. What the graph declares of its
+    inputs and outputs is what it takes and gives."""
 
     data: bytes
     metadata: BundleMetadata
+    graph: OnnxGraph
     size: Size
 
 
@@ -43,8 +45,8 @@ def read_bundle(path: Path) -> BundleFile:
         metadata = BundleMetadata.from_json(file_read.metadata[METADATA_KEY])
         if metadata.opset != file_read.graph.opset:
             raise BundleError(f"bundle metadata: opset {metadata.opset}, but the graph's is {file_read.graph.opset}")
-        _check_batch({shape[0] for shape in file_read.graph.inputs.values() if shape})
-        return BundleFile(data, metadata, size_of(file_read.graph))
+        _check_batch({value.shape[0] for value in file_read.graph.inputs.values() if value.shape})
+        return BundleFile(data, metadata, file_read.graph, size_of(file_read.graph))
     except WireError as error:
         raise BundleError(f"bundle {path}: {error}; is it a complete .onnx file of page-export?") from error
     except BundleError as error:
