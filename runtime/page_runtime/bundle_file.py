@@ -9,7 +9,7 @@ from pathlib import Path
 
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.graph_limits import Size, size_of
-from page_runtime.onnx_file import OnnxFile, read_onnx
+from page_runtime.onnx_file import OnnxFile, OnnxGraph, read_onnx
 from page_runtime.wire import WireError
 
 MAX_BUNDLE_BYTES = 64 << 20
@@ -17,10 +17,12 @@ MAX_BUNDLE_BYTES = 64 << 20
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BundleFile:
-    """data: the file's bytes, an ONNX model that is safe to load. size: of its graph."""
+    """data: the file's bytes, an ONNX model that is safe to load. size: of its graph. What the graph declares of its
+    inputs and outputs is what it takes and gives."""
 
     data: bytes
     metadata: BundleMetadata
+    graph: OnnxGraph
     size: Size
 
 
@@ -39,13 +41,13 @@ def read_bundle(path: Path) -> BundleFile:
     """
     with _named(path):
         data, file, metadata = _read(path)
-        _check_batch({shape[0] for shape in file.graph.inputs.values() if shape})
-        return BundleFile(data, metadata, size_of(file.graph))
+        _check_batch({value.shape[0] for value in file.graph.inputs.values() if value.shape})
+        return BundleFile(data, metadata, file.graph, size_of(file.graph))
 
 
 def _read(path: Path) -> tuple[bytes, OnnxFile, BundleMetadata]:
     if not path.is_file():
-        raise BundleError("no such file; expected an .onnx file made by page-export")
+        raise BundleError("no file there; expected an .onnx file made by page-export")
     with path.open("rb") as opened:
         data = opened.read(MAX_BUNDLE_BYTES + 1)
     if not 0 < len(data) <= MAX_BUNDLE_BYTES:

@@ -15,7 +15,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleError, BundleMetadata
-from page_runtime.bundle_file import read_bundle
+from page_runtime.bundle_file import BundleFile, read_bundle
 from page_runtime.neighbours import (
     GROUP_SIZE,
     INTERPOLATION_SIZE,
@@ -24,6 +24,8 @@ from page_runtime.neighbours import (
     find_neighbours,
     levels_of,
 )
+from page_runtime.onnx_file import Declared
+from page_runtime.onnx_messages import FLOAT, INT32
 from page_runtime.providers import CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described, resolved, short_name
 from page_runtime.sampling import RegionSample
 
@@ -81,6 +83,7 @@ class Network:
         self.path = Path(path)
         file = read_bundle(self.path)
         self.metadata = file.metadata
+        self._check_signature(file)
         provider, provider_options = resolved(on, ort.get_available_providers())
         options = session_options(threads)
         if provider != CPU_PROVIDER:
@@ -104,7 +107,6 @@ class Network:
                 f"provider {short_name(provider)}: required for the whole network, but it runs on "
                 f"{described(self.operators)}"
             )
-        self._check_signature()
         # One thread was asked for, or several.
         self._beside = None if threads == 1 else ThreadPoolExecutor(1, thread_name_prefix="neighbours")
 
@@ -118,10 +120,9 @@ class Network:
             return {CPU_PROVIDER: operators}
         return dict(Counter(part.ep_name for part in self.session.get_provider_graph_assignment_info()))
 
-    def _check_signature(self) -> None:
+    def _check_signature(self, file: BundleFile) -> None:
         """The graph must take and give what its metadata and the neighbour search say."""
-        names = tuple(value.name for value in self.session.get_inputs())
-        outputs = tuple(value.name for value in self.session.get_outputs())
+        names, outputs = tuple(file.graph.inputs), tuple(file.graph.outputs)
         if names != INPUT_NAMES or outputs != OUTPUT_NAMES:
             raise BundleError(
                 f"bundle {self.path}: expected inputs {INPUT_NAMES} and outputs {OUTPUT_NAMES}, "
@@ -146,14 +147,13 @@ class Network:
         groups = {f"group{i}": [1, count, GROUP_SIZE] for i, count in enumerate(levels[1:], 1)}
         fine = (answered, *levels[1:-1])
         ups = {f"up{i}": [1, count, INTERPOLATION_SIZE] for i, count in enumerate(fine, 1)}
-        expected = {name: ("tensor(float)", shape) for name, shape in floats.items()}
-        expected |= {name: ("tensor(int32)", shape) for name, shape in (groups | ups).items()}
-        for value in (*self.session.get_inputs(), *self.session.get_outputs()):
-            kind, shape = expected[value.name]
-            if value.type != kind or value.shape != shape:
+        expected = {name: Declared(FLOAT, tuple(shape)) for name, shape in floats.items()}
+        expected |= {name: Declared(INT32, tuple(shape)) for name, shape in (groups | ups).items()}
+        for name, value in (file.graph.inputs | file.graph.outputs).items():
+            if value != expected[name]:
                 raise BundleError(
-                    f"bundle {self.path}: expected {value.name} to be {kind} {shape} by its metadata, "
-                    f"got {value.type} {value.shape}; export it again"
+                    f"bundle {self.path}: expected {name} to be {expected[name]} by its metadata, "
+                    f"got {value}; export it again"
                 )
 
     def warm_up(self, runs: int = 3) -> None:

@@ -40,18 +40,31 @@ class Node:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tensor:
-    """An initializer. values: None where it has more than MAX_READ_ELEMENTS."""
+    """An initializer. type: its elements', of `onnx_messages.ELEMENT_BYTES`. values: None where it has more than
+    MAX_READ_ELEMENTS."""
 
+    type: int
     shape: tuple[int, ...]
     values: NDArray[np.generic] | None
 
 
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """What the file says of an input or output. type: as of `Tensor`. shape: a text where a length is not fixed."""
+
+    type: int
+    shape: tuple[int | str, ...]
+
+    def __str__(self) -> str:
+        return f"tensor({onnx_messages.TYPE_NAMES[self.type]}) {list(self.shape)}"
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class OnnxGraph:
-    """inputs and outputs: the declared shape of each, a text where it is not fixed."""
+    """inputs and outputs: in the file's order."""
 
-    inputs: dict[str, tuple[int | str, ...]]
-    outputs: dict[str, tuple[int | str, ...]]
+    inputs: dict[str, Declared]
+    outputs: dict[str, Declared]
     nodes: tuple[Node, ...]
     initializers: dict[str, Tensor]
     opset: int
@@ -170,7 +183,7 @@ def _tensor(raw: memoryview, budget: Budget) -> tuple[str, Tensor]:
     values = None
     if count <= MAX_READ_ELEMENTS and kind in onnx_messages.READABLE:
         values = np.frombuffer(data, onnx_messages.READABLE[kind]).reshape(shape)
-    return name, Tensor(shape, values)
+    return name, Tensor(kind, shape, values)
 
 
 def _count(name: str, shape: tuple[int, ...]) -> int:
@@ -185,8 +198,8 @@ def _count(name: str, shape: tuple[int, ...]) -> int:
     return count
 
 
-def _values(raws: list[memoryview], budget: Budget) -> dict[str, tuple[int | str, ...]]:
-    found: dict[str, tuple[int | str, ...]] = {}
+def _values(raws: list[memoryview], budget: Budget) -> dict[str, Declared]:
+    found: dict[str, Declared] = {}
     for raw in raws:
         value = read(onnx_messages.VALUE, raw, budget)
         name = value.get("name", "")
@@ -200,7 +213,10 @@ def _values(raws: list[memoryview], budget: Budget) -> dict[str, tuple[int | str
         ]
         shape = tuple(dim.get("dim_param") or dim.get("dim_value", 0) for dim in dims)
         _count(name, tuple(length for length in shape if isinstance(length, int)))
-        found[name] = shape
+        element = tensor.get("elem_type", 0)
+        if element not in onnx_messages.ELEMENT_BYTES:
+            raise WireError(f"value {name!r}: data type {element} is not allowed")
+        found[name] = Declared(element, shape)
     return found
 
 

@@ -107,7 +107,18 @@ TENSOR_TYPE = Message("tensor type", {1: Field("elem_type", "integer"), 2: Field
 SHAPE = Message("shape", {1: Field("dim", "bytes", many=True)})
 DIM = Message("dimension", {1: Field("dim_value", "integer"), 2: Field("dim_param", "text")})
 
-# TensorProto.DataType: bytes of an element; float32, uint8, int8, int32, int64, bool, float16, float64.
-ELEMENT_BYTES = {1: 4, 2: 1, 3: 1, 6: 4, 7: 8, 9: 1, 10: 2, 11: 8}
+# TensorProto.DataType: those that are understood, the bytes of an element, and what onnxruntime calls them.
+FLOAT, UINT8, INT8, INT32, INT64, BOOL, HALF, DOUBLE = 1, 2, 3, 6, 7, 9, 10, 11
+ELEMENT_BYTES = {FLOAT: 4, UINT8: 1, INT8: 1, INT32: 4, INT64: 8, BOOL: 1, HALF: 2, DOUBLE: 8}
+TYPE_NAMES = {
+    FLOAT: "float",
+    UINT8: "uint8",
+    INT8: "int8",
+    INT32: "int32",
+    INT64: "int64",
+    BOOL: "bool",
+    HALF: "float16",
+    DOUBLE: "double",
+}
 # Of those, what may decide on sizes and is read, as numpy calls it.
-READABLE = {6: "<i4", 7: "<i8", 1: "<f4"}
+READABLE = {INT32: "<i4", INT64: "<i8", FLOAT: "<f4"}

@@ -113,7 +113,10 @@ def convolution(known: Known, kernel_input: int = 1) -> list[Shape]:
     image, kernel = known.shape(0), known.shape(kernel_input)
     group = known.attribute("group", 1)
     space = len(image) - 2
-    if space < 1 or len(kernel) != len(image) or group < 1 or image[1] != kernel[1] * group or kernel[0] % group:
+    # Those over more dimensions take ten times as long.
+    if space not in (1, 2):
+        raise WireError(f"a convolution over {space} dimensions, expected 1 or 2")
+    if len(kernel) != len(image) or group < 1 or image[1] != kernel[1] * group or kernel[0] % group:
         raise WireError(f"a convolution of {list(image)} by {list(kernel)}, group {group}")
     if known.attribute("auto_pad", "NOTSET") not in ("NOTSET", "") or min(kernel[2:]) < 1:
         raise WireError("auto_pad or an empty kernel")
@@ -262,6 +265,11 @@ def resized(known: Known) -> list[Shape]:
     shape = known.shape(0)
     if known.attribute("keep_aspect_ratio_policy", "stretch") != "stretch":
         raise WireError("only sizes that are stretched to are understood")
+    if len(shape) > 4:
+        raise WireError(f"{len(shape)} dimensions; expected at most 4, images: more take ten times as long")
+    # The others weigh as many values of the input for each of the result as the scales say.
+    if known.attribute("mode", "nearest") not in ("nearest", "linear") or known.attribute("antialias", 0):
+        raise WireError("only the modes 'nearest' and 'linear' without antialias are understood")
     if len(known.node.inputs) > 3:
         sizes = known.whole(3)
     else:
