@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from page_runtime.bundle import METADATA_KEY
+from page_runtime.bundle import METADATA_KEY, METADATA_VERSION
 
 
 def initializer(model: onnx.ModelProto, name: str, value: Any, dtype: type = np.float32) -> str:
@@ -276,7 +276,7 @@ ATTACKS: dict[str, tuple[Callable[[onnx.ModelProto], Any], str]] = {
     "a training graph": (lambda m: m.training_info.add(), "training graphs are not allowed"),
     "more metadata": (add_entry, "not understood: .*surprise"),
     "metadata twice": (lambda m: m.metadata_props.append(m.metadata_props[0]), "given twice"),
-    "metadata of another version": (with_metadata(lambda d: d.update(version=99)), "version 4, got 99"),
+    "metadata of another version": (with_metadata(lambda d: d.update(version=99)), f"version {METADATA_VERSION}, got 99"),
     "metadata with a field more": (with_metadata(lambda d: d.update(surprise=1)), "not understood .*surprise"),
     "metadata of another opset": (with_metadata(lambda d: d.update(opset=17)), "opset 17"),
     "metadata nested deeply": (with_metadata(lambda _: "[" * 200_000), "expected JSON"),

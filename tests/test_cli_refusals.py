@@ -85,7 +85,7 @@ BROKEN_BUNDLES: dict[str, tuple[Callable[[Path, Path], Any], str]] = {
     "truncated": (lambda path, good: path.write_bytes(good.read_bytes()[:-200]), "bundle .*broken.onnx"),
     "half": (lambda path, good: path.write_bytes(good.read_bytes()[: good.stat().st_size // 2]), "bundle .*broken"),
     "a model of something else": (model_without_metadata, "no 'page.bundle' in the metadata"),
-    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 4, got 99"),
+    "of a newer version": (model_with_metadata(lambda d: d.update(version=99)), r"broken\.onnx: .*version 5, got 99"),
     "lacking a field": (model_with_metadata(lambda d: d.pop("voxel_m")), r"broken\.onnx: .*missing \['voxel_m'\]"),
     "of other shapes": (model_with_metadata(lambda d: d.update(image_size=128)), "image .* 128, 128] by .*got .*224"),
 }  # fmt: skip
