@@ -22,6 +22,7 @@ from page_export.parity import Inputs, Run
 from page_export.simplified import simplified
 from page_runtime.bundle import BundleMetadata
 from page_runtime.graph_limits import MAX_BATCH
+from page_runtime.neighbours import LEVELS
 from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, SLOWER, feeds, session_options
 from page_training.network import PageNetwork
 
@@ -48,16 +49,16 @@ class Batch:
     def __str__(self) -> str:
         return DYNAMIC if self.size is None else str(self.size)
 
-    def graph_of(self, network: PageNetwork) -> onnx.ModelProto:
-        """The network for such batches."""
-        model = batched_graph_of(network)
+    def graph_of(self, network: PageNetwork, num_points: int = LEVELS[0]) -> onnx.ModelProto:
+        """The network for such batches of objects of so many points."""
+        model = batched_graph_of(network, num_points)
         return model if self.size is None else with_rows(model, self.size)
 
 
-def batched_graph_of(network: PageNetwork) -> onnx.ModelProto:
+def batched_graph_of(network: PageNetwork, num_points: int = LEVELS[0]) -> onnx.ModelProto:
     """The network as a checked ONNX model of 1 to MAX_BATCH rows in each input and output; otherwise as `graph_of`."""
     # Of one row alone, torch would not see that there may be more.
-    examples = tuple(torch.cat([one, one]) for one in example_inputs())
+    examples = tuple(torch.cat([one, one]) for one in example_inputs(num_points))
     module = RuntimeSignature(folded(network)).eval()
     rows = {0: torch.export.Dim(_ROWS, min=1, max=MAX_BATCH)}
     return simplified(exported(module, examples, INPUT_NAMES, OUTPUT_NAMES, rows))

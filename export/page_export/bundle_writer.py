@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from secrets import token_hex
 
 import numpy as np
 import onnx
@@ -92,8 +93,16 @@ def _in_order(graph: onnx.GraphProto) -> None:
 
 
 def write_file(data: bytes, path: Path) -> None:
-    """Write the file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_bytes(data)
-    partial.rename(path)
+    """Write the file whole or not at all. Of a link, what it leads to; a file that was there keeps its permissions."""
+    target = path.resolve()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    mode = target.stat().st_mode & 0o777 if target.is_file() else None
+    partial = target.with_name(f".{target.name}.{token_hex(8)}.partial")
+    try:
+        with partial.open("xb") as file:
+            file.write(data)
+        if mode is not None:
+            partial.chmod(mode)
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -118,6 +118,7 @@ def _training(provenance: dict[str, Any]) -> str:
         "data": provenance.get("trained_on"),
         "frames seen, repeats included": provenance.get("frames_seen"),
         "commit": provenance.get("commit"),
+        "SHA-256 of the weights": provenance.get("weights_sha256"),
         "note": provenance.get("note"),
         "settings": provenance.get("training"),
         "parity with the checkpoint": provenance.get("parity"),

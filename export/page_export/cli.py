@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 # Bounds of `parity`, which is not imported before it is needed; a test holds them together.
 _PARITY = """The two are the same network where every output agrees to 1e-4 (above 1: of its value), or to twice what
@@ -17,7 +15,8 @@ its outputs are changed by no more than the two networks differ. Exit code 1 whe
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run page-export; returns the exit code: 0 done, 1 the bundle differs from the checkpoint, 2 bad input."""
+    """Run page-export; returns the exit code: 0 done, 1 the bundle differs from the checkpoint, 2 bad input, 130
+    interrupted."""
     parser = argparse.ArgumentParser(prog="page-export", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     onnx = commands.add_parser(
@@ -37,6 +36,14 @@ def main(arguments: list[str] | None = None) -> int:
         default="1",
         metavar="N|dynamic",
         help="objects in a run; other than 1 for accelerators and programs of your own: page-runtime loads 1 only",
+    )
+    onnx.add_argument(
+        "--points",
+        type=int,
+        default=2048,
+        metavar="N",
+        help="of an object that the network is given: fewer are quicker and less exact; a multiple of 64 from 256 on "
+        "(default: 2048, which the weights were trained with; validate any other)",
     )
     onnx.add_argument("--note", default="", help="a line for the bundle's provenance")
     onnx.set_defaults(run_command=_onnx)
@@ -63,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
     optimise.add_argument("--data", type=Path, required=True, metavar="RECORDING", help="with truth, of validation")
     optimise.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="where the forms are written")
     optimise.add_argument(
-        "--frames", type=int, default=50, help="regions measured on; the others calibrate (default: 50)"
+        "--frames", type=int, default=50, help="regions measured on, at least 20; the others calibrate (default: 50)"
     )
     optimise.add_argument("--max-pose-error", type=float, default=1.1, help="of the original's (default: 1.1)")
     optimise.add_argument("--json", type=Path, metavar="FILE", help="write the table here")
@@ -112,6 +119,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"page-export: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("page-export: interrupted; every file is as it was, or whole", file=sys.stderr)
+        return 130
 
 
 def _onnx(options: argparse.Namespace) -> int:
@@ -133,14 +143,15 @@ def _optimise(options: argparse.Namespace) -> int:
 
 
 def _profile(options: argparse.Namespace) -> int:
+    from page_export.given import open_fitting
     from page_export.parity import samples_of
     from page_export.profile import profiled
     from page_runtime.bundle_file import read_bundle
-    from page_runtime.capture.playback import open_source
 
     if options.threads < 1 or options.top < 0:
         raise ValueError(f"--threads, --top: expected at least 1 and 0, got {options.threads} and {options.top}")
-    samples = list(samples_of(read_bundle(options.bundle).metadata, open_source(options.data), 10))
+    metadata = read_bundle(options.bundle).metadata
+    samples = list(samples_of(metadata, open_fitting(options.bundle, metadata.category, options.data), 10))
     profile = profiled(options.bundle, samples, threads=options.threads)
     total = sum(kind.ms for kind in profile.kinds)
     print(f"{options.threads} threads: {profile.pass_ms:.2f} ms a pass, {total:.2f} ms of it in operators (medians)")
@@ -154,15 +165,19 @@ def _profile(options: argparse.Namespace) -> int:
 def _scorer(options: argparse.Namespace) -> int:
     import onnx
 
-    from page_export.bundle_writer import bundle_bytes
+    from page_export.bundle_writer import bundle_bytes, write_file
+    from page_export.given import open_fitting
     from page_export.scorer_cost import measure_scorer
     from page_export.scorer_graph import BEAM, with_scorer
+    from page_runtime.commands.outputs import require_file_place
     from page_runtime.network import Network
 
     beam = BEAM if options.beam is None else options.beam
     if beam < 1 or options.threads < 1:
         raise ValueError(f"--beam, --threads: expected at least 1, got {beam} and {options.threads}")
+    require_file_place(options.output, option="--output")
     bundle = Network(options.bundle, threads=options.threads)
+    open_fitting(options.bundle, bundle.metadata.category, options.measure_on)
     model = with_scorer(onnx.load(options.bundle), bundle.metadata, beam)
     graph = bundle_bytes(model, bundle.metadata)
     cost = measure_scorer(bundle, graph, options.measure_on, threads=options.threads)
@@ -170,21 +185,22 @@ def _scorer(options: argparse.Namespace) -> int:
     print(f"within a voxel of the numpy scorer's  {cost.within_voxel:.3f}, fewest of its votes {cost.least_share:.3f}")
     print(f"network, then numpy scorer            {cost.network_ms:.1f} + {cost.numpy_scoring_ms:.1f} ms")
     print(f"one graph                             {cost.graph_ms:.1f} ms")
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    partial = options.output.with_suffix(".partial")
-    partial.write_bytes(graph)
-    partial.rename(options.output)
+    write_file(graph, options.output)
     print(f"{options.output}: {options.output.stat().st_size / 1e6:.2f} MB")
     return 0
 
 
 def _card(options: argparse.Namespace) -> int:
+    from page_export.bundle_writer import write_file
     from page_export.card import card, read_figures
+    from page_runtime.commands.outputs import require_file_place
     from page_runtime.network import Network
 
+    require_file_place(options.output, option="--output")
     metadata = Network(options.bundle, threads=1).metadata
     figures = [read_figures(label, Path(file), metadata.category.name) for label, file in options.figures]
-    options.output.write_text(card(options.bundle.name, metadata, options.bundle.stat().st_size, figures))
+    text = card(options.bundle.name, metadata, options.bundle.stat().st_size, figures)
+    write_file(text.encode(), options.output)
     print(options.output)
     return 0
 
@@ -207,42 +223,9 @@ def _figures(options: argparse.Namespace) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    from rich.progress import track
+    from page_export import calibrate_command
 
-    from page_export.calibration import cross_fitted, examples_from, fitted, joined, write_confidence
-    from page_runtime.capture.playback import open_source
-    from page_runtime.network import Network
-    from page_runtime.validation.reliability import calibration_error, reliability
-
-    metadata = Network(options.bundle).metadata
-    # Confidence decides which frames get a second opinion: the first round finds the confidence of first answers, the
-    # second that of what an estimate then is.
-    rounds = ("first answers", "with second opinions") if metadata.mirrored else ("estimating",)
-    model, collected = None, []
-    with TemporaryDirectory() as folder:
-        trial = Path(folder) / options.bundle.name
-        shutil.copyfile(options.bundle, trial)
-        for what in rounds:
-            write_confidence(trial, metadata, model)
-            network = Network(trial)
-            collected = [
-                frame
-                for recording in options.on
-                for frame in track(
-                    examples_from(network, recording), f"{recording.name}, {what}", total=len(open_source(recording))
-                )
-            ]
-            model = fitted(joined(collected))
-    examples = joined(collected)
-    bins = reliability(cross_fitted(examples), examples.right)
-    print("confidence  parts  mean  right   (each part by a fit without its fifth of the frames)")
-    for one in bins:
-        print(f"{one.low:.2f}-{one.high:.2f}  {one.count:5d}  {one.confidence:.3f}  {one.right:.3f}")
-    print(
-        f"{len(examples.right)} parts, {examples.right.mean():.3f} right, off by {calibration_error(bins):.3f} in mean"
-    )
-    write_confidence(options.bundle, metadata, model)
-    return 0
+    return calibrate_command.run(options)
 
 
 if __name__ == "__main__":

@@ -111,6 +111,26 @@ def exported(
     return model
 
 
+def bundle_metadata(
+    category: Category,
+    *,
+    mirrored: bool,
+    provenance: dict[str, Any],
+    num_points: int = LEVELS[0],
+    image_size: int = IMAGE_SIZE,
+) -> BundleMetadata:
+    """Of a bundle that this release exports, not calibrated; all as in `BundleMetadata`."""
+    return BundleMetadata(
+        category=category,
+        num_points=num_points,
+        image_size=image_size,
+        voxel_m=VOXEL_M,
+        opset=OPSET,
+        mirrored=mirrored,
+        provenance=provenance,
+    )
+
+
 def write_bundle(
     model: onnx.ModelProto,
     category: Category,
@@ -123,14 +143,8 @@ def write_bundle(
 ) -> BundleMetadata:
     """Write model and metadata, which are given back, as one file, whole or not at all; all but `model` as in
     `BundleMetadata`."""
-    metadata = BundleMetadata(
-        category=category,
-        num_points=num_points,
-        image_size=image_size,
-        voxel_m=VOXEL_M,
-        opset=OPSET,
-        mirrored=mirrored,
-        provenance=provenance,
+    metadata = bundle_metadata(
+        category, mirrored=mirrored, provenance=provenance, num_points=num_points, image_size=image_size
     )
     write_file(bundle_bytes(model, metadata), path)
     return metadata

@@ -6,6 +6,7 @@ import argparse
 import json
 import logging
 import sys
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,19 +14,31 @@ from tempfile import TemporaryDirectory
 from rich.progress import Progress
 
 from page_export.bundle_writer import bundle_bytes, write_file
+from page_export.given import open_fitting
 from page_export.mixed import SEARCH_FRAMES, Search, grouped, search
 from page_export.optimisation import Measured, TrueSample, measure, recommended
 from page_export.variants import CALIBRATION_FRAMES, Forms, chosen_for_calibration
 from page_runtime.bundle_file import read_bundle
-from page_runtime.capture.playback import open_source
+from page_runtime.commands.outputs import require_file_place, require_folder_place
+from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import sample_for
 from page_runtime.neighbours import find_neighbours
 
 ROUNDS = 3
+# Objects that forms are measured on; a choice. What is decided on are medians and one failure more in a hundred parts:
+# of fewer, a single object decides.
+MIN_OBJECTS = 20
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the forms, measure all, keep those that are not refused; ValueError for what cannot be measured."""
+    """Measure the forms and write those that are not refused; ValueError for what cannot be measured."""
+    if options.frames < MIN_OBJECTS:
+        raise UsageError(
+            f"--frames: expected at least {MIN_OBJECTS} regions to measure on, got {options.frames}: which form is "
+            "recommended would depend on which regions they are"
+        )
+    require_file_place(options.json, option="--json")
+    require_folder_place(options.output, option="--output")
     metadata = read_bundle(options.bundle).metadata
     tested, others = _samples(options.bundle, options.data, options.frames)
     calibration = chosen_for_calibration([given for given, _ in others], CALIBRATION_FRAMES)
@@ -49,18 +62,20 @@ def run(options: argparse.Namespace) -> int:
             models["int8-mixed"] = forms.static([x.name for x in forms.layers if x.works_on in found.chosen])
         made = {"fp32": options.bundle}
         for name, model in models.items():
-            path = options.output / f"{options.bundle.stem}.{name}.onnx"
-            provenance = {**metadata.provenance, "form": f"{name} of {options.bundle.name}"}
+            path = folder / f"{options.bundle.stem}.{name}.onnx"
+            # The comparison with the checkpoint was not of this form.
+            provenance = {key: value for key, value in metadata.provenance.items() if key != "parity"}
+            provenance |= {"form": f"{name} of {options.bundle.name}"}
             write_file(bundle_bytes(model, replace(metadata, provenance=provenance)), path)
             made[name] = path
         task = progress.add_task("measuring", total=2 * ROUNDS * len(tested))
         results = measure(made, tested, rounds=ROUNDS, on_sample=lambda: progress.advance(task))
+        refused = {one.name for one in results[1:] if one.refused(options.max_pose_error, results[0].failures)}
+        written = write_kept({name: made[name] for name in models}, refused, options.output)
     best = recommended(results, options.max_pose_error)
     sys.stdout.write(search_table(found, options.max_pose_error))
     sys.stdout.write(table(results, best, options.max_pose_error, len(tested)))
-    refused = {one.name for one in results[1:] if one.refused(options.max_pose_error, results[0].failures)}
-    for name in refused:
-        made[name].unlink()
+    sys.stdout.write(written)
     if options.json is not None:
         document = {
             "bundle": options.bundle.name,
@@ -73,6 +88,22 @@ def run(options: argparse.Namespace) -> int:
         }
         write_file((json.dumps(document, indent=1) + "\n").encode(), options.json)
     return 0
+
+
+def write_kept(forms: dict[str, Path], refused: Collection[str], folder: Path) -> str:
+    """Write the forms that are not refused into the folder; what is there now, for people.
+
+    A refused one's file of an earlier run is left, and named.
+    """
+    lines: list[str] = []
+    for name, made in forms.items():
+        path = folder / made.name
+        if name not in refused:
+            write_file(made.read_bytes(), path)
+            lines.append(f"{path}: written")
+        elif path.exists():
+            lines.append(f"{path}: of an earlier run; this one refuses {name} and left the file as it was")
+    return "".join(f"{line}\n" for line in lines)
 
 
 def search_table(found: Search, bound: float) -> str:
@@ -109,16 +140,14 @@ def table(results: list[Measured], best: Measured, bound: float, frames: int) ->
             f"{one.name:14s} {one.size_bytes / 1e6:6.2f} {one.load_ms:8.0f} {latency[0]:>17s} {latency[1]:>18s} "
             f"{one.rotation_deg:6.2f} {one.translation_mm:6.2f} {100 * one.failures:7.1f} % {one.error:6.2f}  {verdict}"
         )
-    note = f"{frames} objects; deg, mm: medians against the truth; error: of the original's; refused forms are deleted"
+    note = f"{frames} objects; deg, mm: medians against the truth; error: of the original's; refused forms are not kept"
     return "\n".join([*lines, note]) + "\n"
 
 
 def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[TrueSample]]:
-    """The first regions and the others, with their truth; ValueError where there are too few of either."""
+    """The first regions and the others, with their truth; ValueError where there are too few."""
     metadata = read_bundle(bundle).metadata
-    source = open_source(data)
-    if not source.has_truth:
-        raise ValueError(f"{data}: expected a recording with true poses, got a {source.format} without")
+    source = open_fitting(bundle, metadata.category, data, with_truth=True)
     tested: list[TrueSample] = []
     others: list[TrueSample] = []
     for recorded in source:
@@ -130,9 +159,10 @@ def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], l
                 continue
             given = sample, find_neighbours(sample.points_camera - sample.center_camera)
             (tested if len(tested) < frames else others).append((given, instance.truths))
-    if not tested or len(others) < 2:
-        raise ValueError(
-            f"{data}: expected more regions with depth than --frames {frames}, as the others calibrate; "
-            f"got {len(tested) + len(others)}"
+    if len(others) < 2:
+        raise UsageError(
+            f"{data}: expected at least two regions with depth and truth more than --frames {frames}, as the others "
+            f"calibrate; got {len(tested) + len(others)} in all; give a longer recording, or measure on fewer (at "
+            f"least {MIN_OBJECTS})"
         )
     return tested, others

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,7 +152,7 @@ def checkpoint_run(metadata: BundleMetadata, network: PageNetwork, dtype: torch.
     return run
 
 
-def compare(metadata: BundleMetadata, ours: Run, network: PageNetwork, samples: Iterator[Inputs]) -> Parity:
+def compare(metadata: BundleMetadata, ours: Run, network: PageNetwork, samples: Iterable[Inputs]) -> Parity:
     """Run `ours` and a checkpoint's network on the samples."""
     theirs, rounded = checkpoint_run(metadata, network), checkpoint_run(metadata, network, torch.float32)
     worst: dict[str, list[float]] = {name: [] for name in OUTPUT_NAMES}

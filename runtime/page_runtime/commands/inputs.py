@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 
 import cv2
 
+from page_runtime.category import Category
 from page_runtime.commands.sources import open_recorded
 from page_runtime.commands.usage import UsageError
 from page_runtime.estimator import estimate
@@ -64,13 +65,17 @@ def open_inputs(
 
 def require_fitting(bundle: Path, network: Network, name: str, source: FrameSource) -> None:
     """UsageError when the source holds other objects than the bundle knows."""
-    category = network.metadata.category
+    require_category(bundle, network.metadata.category, name, source)
+
+
+def require_category(knowing: Path, category: Category, name: str, source: FrameSource) -> None:
+    """The same of any file that knows a category, as a checkpoint does."""
     if source.category is not None and source.category != category.name:
-        raise UsageError(f"{bundle} is for the category {category.name!r}, but {name} holds {source.category!r}")
+        raise UsageError(f"{knowing} is for the category {category.name!r}, but {name} holds {source.category!r}")
     names = tuple(part.name for part in category.parts)
     if source.part_names is not None and source.part_names != names:
         known, found = ", ".join(names), ", ".join(source.part_names)
-        raise UsageError(f"{bundle} knows the parts {known}, but {name} has {found}")
+        raise UsageError(f"{knowing} knows the parts {known}, but {name} has {found}")
 
 
 def require_region(name: str, source: FrameSource, region: Region | None) -> None:
