@@ -276,7 +276,10 @@ ATTACKS: dict[str, tuple[Callable[[onnx.ModelProto], Any], str]] = {
     "a training graph": (lambda m: m.training_info.add(), "training graphs are not allowed"),
     "more metadata": (add_entry, "not understood: .*surprise"),
     "metadata twice": (lambda m: m.metadata_props.append(m.metadata_props[0]), "given twice"),
-    "metadata of another version": (with_metadata(lambda d: d.update(version=99)), f"version {METADATA_VERSION}, got 99"),
+    "metadata of another version": (
+        with_metadata(lambda d: d.update(version=99)),
+        f"version {METADATA_VERSION}, got 99",
+    ),
     "metadata with a field more": (with_metadata(lambda d: d.update(surprise=1)), "not understood .*surprise"),
     "metadata of another opset": (with_metadata(lambda d: d.update(opset=17)), "opset 17"),
     "metadata nested deeply": (with_metadata(lambda _: "[" * 200_000), "expected JSON"),
