@@ -32,7 +32,7 @@ HEAVY = {
     "dask",
 }  # fmt: skip
 ONLY_IMPORTER = {
-    "onnxruntime": "network.py",
+    "onnxruntime": "sessions.py",
     "depthai": "capture/oak.py",
     "rerun": "sinks/rerun_log.py",
     "distributed": "validation/cluster.py",

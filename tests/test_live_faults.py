@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import page_runtime.network as network_module
 from followed_boxes import ROOT, at, hidden, only, region_of
-from page_runtime import Network, RecordedFrame, live_results, open_source
+from page_runtime import Network, NetworkError, RecordedFrame, live_results, open_source
 from page_runtime.bundle import BundleMetadata
 from page_runtime.cli import EXIT_FRAMES_FAILING, main
 from page_runtime.live.deadline import Deadline
@@ -77,12 +77,13 @@ def test_a_session_that_refuses_one_frame_costs_that_frame_and_is_said_by_type_a
     assert [bool(result.objects) for result in results] == [True] * 3 + [False] * 2 + [True] * 4
     assert {found.number for result in results for found in result.objects} == {0}
     assert results[3].state == "reacquiring"
-    assert "InvalidArgument" in results[3].reason
+    assert "NetworkError" in results[3].reason
     assert [result.counts.failed for result in results] == [0, 0, 0, 1, 2, 2, 2, 2, 2]
     assert results[-1].counts.processed == 9
     assert len(told) == 1
-    assert type(told[0].error).__name__ == "InvalidArgument"
-    assert str(told[0]).startswith("frame 3, object 0: InvalidArgument at page_runtime/network.py:")
+    assert type(told[0].error) is NetworkError
+    assert "INVALID_ARGUMENT" in str(told[0])
+    assert str(told[0]).startswith("frame 3, object 0: NetworkError at page_runtime/network.py:")
 
 
 def test_without_tracking_every_part_says_why_it_has_no_pose(
@@ -102,7 +103,7 @@ def test_without_tracking_every_part_says_why_it_has_no_pose(
     assert all(isinstance(part, PartPose) for pose in (poses[0], poses[2]) for part in pose.parts)
     for part in poses[1].parts:
         assert isinstance(part, NotSeen)
-        assert "InvalidArgument at page_runtime/network.py" in part.reason
+        assert "NetworkError at page_runtime/network.py" in part.reason
     assert loop.counts.failed == 1
 
 
@@ -243,7 +244,7 @@ def test_a_command_in_which_every_frame_fails_ends_with_its_own_code_and_a_sente
     arguments = ["live", str(BOXES), "--bundle", str(ROOT / "runtime" / "bundles" / "box.onnx"), "--quiet"]
     assert main([*arguments, "--out", str(out)]) == EXIT_FRAMES_FAILING == 5
     first, last = capsys.readouterr().err.splitlines()
-    assert "InvalidArgument at page_runtime/network.py" in first
+    assert "NetworkError at page_runtime/network.py" in first
     assert "the loop goes on" in first
     assert last.startswith("page-runtime: all frames there were failed")
     assert len(out.read_text().splitlines()) == len(open_source(BOXES).entries)

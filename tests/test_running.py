@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,15 @@ import pytest
 
 from page_runtime import cli
 from page_runtime.estimator import estimate
+from page_runtime.live.detector import Detector
+from page_runtime.machine import most_threads
 from page_runtime.neighbours import find_neighbours
-from page_runtime.network import DeadlineExceeded, Network
+from page_runtime.network import Network
 from page_runtime.providers import CPU_PROVIDER, PROVIDERS, ProviderChoice, ProviderError, resolved
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample
+from page_runtime.sessions import DeadlineExceeded
+from page_runtime.sweep import sweep_from
 
 SHIPPED = Path(__file__).resolve().parents[1] / "runtime" / "bundles" / "laptop.onnx"
 Toy = tuple[Network, RegionSample, RecordedFrame]
@@ -24,11 +29,27 @@ def test_a_pass_that_takes_too_long_ends_with_an_error_that_says_so(toy_sample: 
     network = Network(SHIPPED, threads=1)
     neighbours = find_neighbours(sample.points_camera - sample.center_camera)
     whole = network.run_raw(sample, neighbours)
-    for seconds in (-1.0, 0.0, 1e-5):
-        with pytest.raises(DeadlineExceeded, match=r"not done within .* ms; allow more time"):
-            network.run_raw(sample, neighbours, seconds=seconds)
+    with pytest.raises(DeadlineExceeded, match=r"not done within 0\.0 ms; allow more time"):
+        network.run_raw(sample, neighbours, seconds=1e-5)
     # One pass given up leaves nothing behind for the next.
     for ours, theirs in zip(network.run_raw(sample, neighbours, seconds=60.0), whole, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan")])
+def test_a_time_that_is_over_before_it_begins_is_refused(seconds: float, toy_sample: Toy) -> None:
+    network, sample, _ = toy_sample
+    with pytest.raises(ValueError, match=f"seconds: expected a time above 0, or None for any, got {seconds}"):
+        network.run_raw(sample, network.neighbours_of(sample), seconds=seconds)
+
+
+@pytest.mark.parametrize("seconds", [threading.TIMEOUT_MAX, 1e12, float("inf")])
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_time_longer_than_any_timer_waits_is_all_the_time_there_is(seconds: float, toy_sample: Toy) -> None:
+    network, sample, _ = toy_sample
+    neighbours = network.neighbours_of(sample)
+    whole = network.run_raw(sample, neighbours)
+    for ours, theirs in zip(network.run_raw(sample, neighbours, seconds=seconds), whole, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -37,7 +58,7 @@ def test_an_estimate_passes_the_time_on(toy_sample: Toy) -> None:
     region = recorded.instances[0].region
     assert region is not None
     with pytest.raises(DeadlineExceeded):
-        estimate(network, recorded.frame, region, network_seconds=0.0)
+        estimate(Network(SHIPPED, threads=1), recorded.frame, region, network_seconds=1e-5)
     one, other = (estimate(network, recorded.frame, region, network_seconds=s) for s in (None, 60.0))
     for ours, theirs in zip(one.parts, other.parts, strict=True):
         assert type(ours) is type(theirs)
@@ -71,6 +92,25 @@ def test_options_given_win_over_the_defaults() -> None:
     assert options == {"device_type": "GPU"}
 
 
+def test_options_that_nothing_would_read_are_refused() -> None:
+    options = (("device_type", "GPU"), ("nonsense", "1"))
+    for name in ("cpu", "auto"):
+        with pytest.raises(ProviderError, match="no options, got device_type, nonsense; leave them out"):
+            resolved(ProviderChoice(name, options), [CPU_PROVIDER])
+    assert resolved(ProviderChoice("auto", options), [CPU_PROVIDER, "QNNExecutionProvider"])[1]["nonsense"] == "1"
+
+
+@pytest.mark.parametrize("threads", [-1, 100_000])
+def test_a_number_of_threads_that_no_machine_needs_is_refused(threads: int, oracle_bundle: Path) -> None:
+    with pytest.raises(ValueError, match=rf"threads: expected 1 to {most_threads()} .*, got {threads}"):
+        Network(oracle_bundle, threads=threads)
+    with pytest.raises(ValueError, match="threads: expected 1 to"):
+        Detector(oracle_bundle, threads=threads)
+    if threads > 0:
+        with pytest.raises(ValueError, match="threads: expected 1 to"):
+            sweep_from(f"threads=1,{threads}")
+
+
 def test_a_network_says_what_it_runs_on(oracle_bundle: Path) -> None:
     network = Network(oracle_bundle, threads=1, on=ProviderChoice("cpu", required=True))
     assert set(network.operators) == {CPU_PROVIDER}
@@ -83,6 +123,9 @@ def test_a_network_says_what_it_runs_on(oracle_bundle: Path) -> None:
         (["--provider", "coreml", "--require"], "provider coreml: this onnxruntime does not have it"),
         (["--provider", "cpu", "--provider-option", "threads"], "--provider-option: expected KEY=VALUE"),
         (["--provider", "abacus"], "--provider"),
+        (["--provider", "cpu", "--provider-option", "nonsense=1"], "provider cpu: it has no options, got nonsense"),
+        (["--provider", "auto", "--provider-option", "nonsense=1"], "provider auto: the CPU is the best there is here"),
+        (["--threads", "100000"], "--threads: expected 1 to "),
     ],
 )
 def test_a_wrong_provider_is_refused_in_a_sentence(

@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     from page_runtime.live.loop import LiveLoop
     from page_runtime.live.result import LiveObject, LiveResult, LoopCounts
     from page_runtime.live.start import live_results
-    from page_runtime.network import DeadlineExceeded, Network
+    from page_runtime.network import Network
     from page_runtime.overlay import draw
     from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
+    from page_runtime.providers import NetworkError, ProviderChoice, ProviderError
     from page_runtime.recorded import Instance, PartTruth, RecordedFrame, Source
     from page_runtime.recording import RecordingWriter
     from page_runtime.sampling import Region
     from page_runtime.schema import pose_record
+    from page_runtime.sessions import DeadlineExceeded
 
 _MODULE_OF_NAME = {
     "ArticulatedPose": "pose",
@@ -38,7 +40,7 @@ _MODULE_OF_NAME = {
     "BundleMetadata": "bundle",
     "Camera": "camera",
     "Category": "category",
-    "DeadlineExceeded": "network",
+    "DeadlineExceeded": "sessions",
     "FrameFault": "live.faults",
     "FramesFailing": "live.faults",
     "Instance": "recorded",
@@ -48,10 +50,13 @@ _MODULE_OF_NAME = {
     "LiveResult": "live.result",
     "LoopCounts": "live.result",
     "Network": "network",
+    "NetworkError": "providers",
     "NotSeen": "pose",
     "Part": "category",
     "PartPose": "pose",
     "PartTruth": "recorded",
+    "ProviderChoice": "providers",
+    "ProviderError": "providers",
     "RecordedFrame": "recorded",
     "RecordingWriter": "recording",
     "Region": "sampling",
@@ -81,10 +86,13 @@ __all__ = [
     "LiveResult",
     "LoopCounts",
     "Network",
+    "NetworkError",
     "NotSeen",
     "Part",
     "PartPose",
     "PartTruth",
+    "ProviderChoice",
+    "ProviderError",
     "RecordedFrame",
     "RecordingWriter",
     "Region",

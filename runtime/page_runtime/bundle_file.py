@@ -10,6 +10,7 @@ from pathlib import Path
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
 from page_runtime.graph_limits import Size, size_of
 from page_runtime.onnx_file import OnnxFile, OnnxGraph, read_onnx
+from page_runtime.signature import require_signature
 from page_runtime.wire import WireError
 
 MAX_BUNDLE_BYTES = 64 << 20
@@ -28,9 +29,10 @@ class BundleFile:
 
 def read_metadata(path: Path) -> BundleMetadata:
     """What a bundle says of itself, also one for several objects at once, which no `Network` takes. Errors as of
-    `read_bundle`; the size of its graph is not looked at, as nothing of it may be run."""
+    `read_bundle`; of one for several the graph is not looked at, as nothing of it may be run."""
     with _named(path):
-        return _read(path)[2]
+        data, file, metadata = _read(path)
+        return metadata if _rows(file.graph) not in (None, 1) else _checked(data, file, metadata).metadata
 
 
 def read_bundle(path: Path) -> BundleFile:
@@ -41,8 +43,14 @@ def read_bundle(path: Path) -> BundleFile:
     """
     with _named(path):
         data, file, metadata = _read(path)
-        _check_batch({value.shape[0] for value in file.graph.inputs.values() if value.shape})
-        return BundleFile(data, metadata, file.graph, size_of(file.graph))
+        rows = _rows(file.graph)
+        if rows not in (None, 1):
+            objects = "a free number of" if isinstance(rows, str) else str(rows)
+            raise BundleError(
+                f"it takes {objects} objects at once; the runtime takes one, which is quicker on a CPU: export it "
+                "without --batch"
+            )
+        return _checked(data, file, metadata)
 
 
 def _read(path: Path) -> tuple[bytes, OnnxFile, BundleMetadata]:
@@ -74,12 +82,12 @@ def _named(path: Path) -> Iterator[None]:
         raise BundleError(f"bundle {path}: {error}") from error
 
 
-def _check_batch(rows: set[int | str]) -> None:
-    """rows: of the inputs. Where they differ it is no batch, and `Network` says which input is wrong."""
-    if len(rows) == 1 and rows != {1}:
-        (count,) = rows
-        objects = "a free number of" if isinstance(count, str) else str(count)
-        raise BundleError(
-            f"it takes {objects} objects at once; the runtime takes one, which is quicker on a CPU: export it without "
-            "--batch"
-        )
+def _rows(graph: OnnxGraph) -> int | str | None:
+    """Of all inputs; None where they differ, and it is no batch."""
+    rows = {value.shape[0] for value in graph.inputs.values() if value.shape}
+    return rows.pop() if len(rows) == 1 else None
+
+
+def _checked(data: bytes, file: OnnxFile, metadata: BundleMetadata) -> BundleFile:
+    require_signature(file.graph, metadata)
+    return BundleFile(data, metadata, file.graph, size_of(file.graph))

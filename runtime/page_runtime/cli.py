@@ -23,7 +23,7 @@ from page_runtime.commands.live_options import add_live_options
 from page_runtime.commands.sink_options import add_sink_options
 from page_runtime.commands.usage import UsageError
 from page_runtime.commands.validate_options import add_validate_options
-from page_runtime.providers import PROVIDERS, ProviderChoice
+from page_runtime.providers import PROVIDERS, NetworkError, ProviderChoice, ProviderError
 
 EXIT_BAD_INPUT = 2
 EXIT_NO_CAMERA = 3
@@ -82,7 +82,7 @@ def _call(command: str, options: dict[str, object]) -> int:
         return _refuse(error, code=EXIT_SOURCE_LOST)
     except FramesFailing as error:
         return _refuse(error, code=EXIT_FRAMES_FAILING)
-    except (BundleError, SourceError) as error:
+    except (BundleError, NetworkError, ProviderError, SourceError) as error:
         return _refuse(error)
     except BrokenPipeError:
         raise
@@ -156,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--bundle", metavar="B", type=Path, required=required, action=kind, help=bundle_help)
         default = "1 a process, as figures depend on it a little" if several else "all"
         sub.add_argument(
-            "--threads", metavar="N", type=accept.count, default=0, help=f"at most N threads (default: {default})"
+            "--threads", metavar="N", type=accept.threads, default=0, help=f"at most N threads (default: {default})"
         )
         sub.add_argument("--looks", metavar="N", type=accept.count, default=3, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")

@@ -10,7 +10,7 @@ import numpy as np
 from page_runtime.bundle import BundleMetadata
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirror_order, mirrored_pose, mirrored_sample
-from page_runtime.network import DeadlineExceeded, Network, NetworkOutput
+from page_runtime.network import Network, NetworkOutput
 from page_runtime.part_poses import (
     MAX_VOTERS,
     LabelledPoints,
@@ -21,6 +21,7 @@ from page_runtime.part_poses import (
 )
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
 from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
+from page_runtime.sessions import DeadlineExceeded
 from page_runtime.stopwatch import Stopwatch
 
 # One validation frame of boxes in five, of laptops in eight has a part below; looking again at others gained nothing.

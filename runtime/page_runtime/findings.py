@@ -18,8 +18,8 @@ import numpy as np
 from page_runtime.bundle import BundleMetadata
 from page_runtime.camera import Camera
 from page_runtime.machine import cpu_name, versions
-from page_runtime.network import available_providers
 from page_runtime.recorded import RecordedFrame, Source
+from page_runtime.sessions import available_providers
 
 # ok: nothing to do. advice: it works, and would work better. problem: it does not work, or its answers are wrong.
 Level = Literal["ok", "advice", "problem"]

@@ -1,4 +1,5 @@
-"""What a network may run on: onnxruntime's execution providers by short names, and what is told of the choice."""
+"""What a network may run on: onnxruntime's execution providers by short names, what is told of the choice, and what is
+raised where it does not run."""
 
 from __future__ import annotations
 
@@ -31,6 +32,10 @@ class ProviderError(RuntimeError):
     """A provider that was asked for cannot run the network here; the message says why and what would."""
 
 
+class NetworkError(RuntimeError):
+    """onnxruntime failed while it ran a network that it had loaded; `__cause__` is what it raised."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProviderChoice:
     """provider: a short name of PROVIDERS. options: of onnxruntime, over the defaults here. required: it must all run
@@ -48,7 +53,7 @@ def resolved(choice: ProviderChoice, available: Sequence[str]) -> tuple[str, dic
     """onnxruntime's name and options for a choice, of the providers this onnxruntime has.
 
     ProviderError for a name that is not known, and for one that is not here: another takes its place only where `auto`
-    was asked for.
+    was asked for. Also for options where the CPU is chosen: nothing would read them.
     """
     if choice.provider not in PROVIDERS:
         raise ProviderError(f"provider: expected one of {', '.join(PROVIDERS)}, got {choice.provider!r}")
@@ -59,6 +64,13 @@ def resolved(choice: ProviderChoice, available: Sequence[str]) -> tuple[str, dic
     if full not in available:
         here = ", ".join(short for short, (known, *_) in _KNOWN.items() if known in available)
         raise ProviderError(f"provider {name}: this onnxruntime does not have it (it has {here}); install {package}")
+    if choice.options and full == CPU_PROVIDER:
+        given = ", ".join(key for key, _ in choice.options)
+        what = "the CPU is the best there is here, which" if choice.provider == AUTO else "it"
+        raise ProviderError(
+            f"provider {choice.provider}: {what} has no options, got {given}; leave them out, or name the provider "
+            "they are for"
+        )
     return full, {**options, **dict(choice.options)}
 
 

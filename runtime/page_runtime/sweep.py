@@ -12,6 +12,7 @@ import numpy as np
 
 from page_runtime.bench import report, time_windows
 from page_runtime.estimator import MAX_LOOKS, estimate
+from page_runtime.machine import check_threads
 from page_runtime.network import Network
 from page_runtime.part_poses import MAX_VOTERS
 from page_runtime.recorded import FrameEntry, Pixels, Source
@@ -51,6 +52,8 @@ def sweep_from(text: str) -> Sweep:
         whole and any(one != int(one) for one in values)
     ) or not np.isfinite(values).all():  # fmt: skip
         raise ValueError(f"expected {', '.join(VARIES)} and values above 0, such as rho=3,5,10; got {text!r}")
+    if varies == "threads":
+        check_threads(int(max(values)))
     return Sweep(varies, values)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from page_runtime.machine import check_threads
+
 
 def seconds_of_milliseconds(text: str) -> float:
     """Milliseconds from 0 on, as seconds."""
@@ -54,6 +56,16 @@ def count(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"expected a whole number from 0 on, got {text!r}")
     return int(text)
+
+
+def threads(text: str) -> int:
+    """A number of threads that a session may have, or 0."""
+    number = count(text)
+    try:
+        check_threads(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("threads: ")) from error
+    return number
 
 
 def positive_seconds(text: str) -> float:

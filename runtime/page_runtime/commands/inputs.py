@@ -17,7 +17,7 @@ from page_runtime.estimator import estimate
 from page_runtime.machine import available_processors
 from page_runtime.network import Network
 from page_runtime.pose import NO_REGION, ArticulatedPose, not_seen
-from page_runtime.providers import AUTO, CPU, CPU_PROVIDER, ON_CPU, ProviderChoice, ProviderError, described
+from page_runtime.providers import AUTO, CPU, CPU_PROVIDER, ON_CPU, ProviderChoice, described
 from page_runtime.recorded import FrameSource, Instance, RecordedFrame, Source
 from page_runtime.sampling import Region, check_region
 
@@ -43,11 +43,10 @@ def load_network(bundle: Path, *, threads: int, looks: int, on: ProviderChoice =
         raise UsageError(f"--looks: expected at least 1, got {looks}")
     threads = threads or available_processors()
     cv2.setNumThreads(threads)
-    try:
-        network = Network(bundle, threads=threads, on=on)
-    except ProviderError as error:
-        raise UsageError(str(error)) from error
-    if network.operators.keys() != {CPU_PROVIDER} or on.provider not in (AUTO, CPU):
+    network = Network(bundle, threads=threads, on=on)
+    if network.fell_back:
+        sys.stderr.write(f"page-runtime: {network.fell_back}; the network runs on {described(network.operators)}\n")
+    elif network.operators.keys() != {CPU_PROVIDER} or on.provider not in (AUTO, CPU):
         sys.stderr.write(f"page-runtime: the network runs on {described(network.operators)}\n")
     return network, threads
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleError
-from page_runtime.network import open_session
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import Region
+from page_runtime.sessions import open_session
 
 _GREY = 114
 # Boxes of one class that share more than this of their union are of one object.
