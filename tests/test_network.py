@@ -60,7 +60,7 @@ def test_a_signature_of_other_types_and_shapes_is_refused_by_name(
     def never(*_: object, **__: object) -> None:
         raise AssertionError("onnxruntime has seen it")
 
-    monkeypatch.setattr("page_runtime.network.ort.InferenceSession", never)
+    monkeypatch.setattr("page_runtime.sessions.ort.InferenceSession", never)
     changes: list[tuple[type, list[Any]]] = [
         (np.float64 if dtype is np.float32 else np.int64, shape),
         (dtype, [*shape[:-1], shape[-1] + 1]),

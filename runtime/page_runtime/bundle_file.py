@@ -89,5 +89,6 @@ def _rows(graph: OnnxGraph) -> int | str | None:
 
 
 def _checked(data: bytes, file: OnnxFile, metadata: BundleMetadata) -> BundleFile:
+    checked = BundleFile(data, metadata, file.graph, size_of(file.graph))
     require_signature(file.graph, metadata)
-    return BundleFile(data, metadata, file.graph, size_of(file.graph))
+    return checked
