@@ -319,6 +319,38 @@ def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, cran
         read_urdf(path)
 
 
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("mast.stl", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
+        ("mast.dae", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
+        ("mast.stl", bytes(range(256)), "expected triangles, got none"),
+        ("mast.stl", None, "got nothing there"),
+        ("mast.obj", b"", "expected triangles, got none"),
+        ("mast.glb", b"no such thing", "a mesh that trimesh can load"),
+    ],
+)
+def test_every_mesh_of_a_urdf_is_read_or_named(
+    name: str, content: bytes | None, word: str, alone: bool, crane: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    for mesh in ("mast.stl", "slide.obj"):
+        (tmp_path / "meshes" / mesh).write_bytes((crane.parent / "meshes" / mesh).read_bytes())
+    sound = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
+    text = URDF.replace("mast.stl", name)
+    (tmp_path / "crane.urdf").write_text(
+        text if alone else text.replace('<link name="mast">', f'<link name="mast">{sound}')
+    )
+    (tmp_path / "meshes/mast.stl").unlink()
+    if content is not None:
+        (tmp_path / "meshes" / name).write_bytes(content)
+    with pytest.raises(ValueError, match=word) as refused:
+        read_urdf(tmp_path / "crane.urdf")
+    assert f"meshes/{name}" in str(refused.value)
+    assert "--fix" not in str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
