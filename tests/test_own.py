@@ -16,7 +16,7 @@ from trimesh.visual import ColorVisuals
 from page_runtime.geometry import Array, apply, invert, rotation_about
 from page_runtime.symmetry import Symmetry
 from page_training.batches import make_batch
-from page_training.cache import make_shard
+from page_training.cache import make_shard, write_shard
 from page_training.categories import category_named, known_categories, own_folder
 from page_training.cli import main
 from page_training.config import Augmentation
@@ -26,6 +26,7 @@ from page_training.own.joint_file import read_joint_file
 from page_training.own.model import OwnModel
 from page_training.own.surfaces import MOST_TRIANGLES
 from page_training.own.urdf import read_urdf
+from page_training.records import SCENES_VERSION, open_shards, record_type, shard_path
 from page_training.scenes import sample_scene, training_view
 from page_training.scenes.kinds import scene_category
 from page_training.templates import part_templates
@@ -377,6 +378,25 @@ def test_a_joint_file_that_cannot_be_used_says_why(
     path.write_text(JOINT_FILE.replace(old, new, 1))
     with pytest.raises(ValueError, match=word):
         read_joint_file(path)
+
+
+def test_a_category_made_again_does_not_use_the_frames_of_the_one_before(
+    own_crane: OwnCategory, crane: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = shard_path(tmp_path, "crane", "train", 0)
+    write_shard(before, np.zeros(1, record_type(4)))
+    write_own(own_crane, own_folder("crane"))
+    assert shard_path(tmp_path, "crane", "train", 0) == before
+    assert len(open_shards(tmp_path, "crane", "train")) == 1
+    assert main(["from-urdf", "crane", str(crane), "--fix", "reach"]) == 0
+    assert "replaces the category crane" in capsys.readouterr().out
+    assert shard_path(tmp_path, "crane", "train", 0).parent != before.parent
+    assert not open_shards(tmp_path, "crane", "train")
+    assert main(["pose", "crane", "--cache", str(tmp_path), "--run", str(tmp_path / "run")]) == 2
+    told = capsys.readouterr().err
+    assert f"{before.parent.name}: of another make of it" in told
+    assert "page-train scenes" in told
+    assert shard_path(tmp_path, "box", "train", 0).parent.name == f"box-v{SCENES_VERSION}"
 
 
 @pytest.mark.usefixtures("own_crane")

@@ -28,7 +28,7 @@ def add_to(commands: Any) -> None:
 def _from_urdf(options: argparse.Namespace) -> None:
     from page_training.categories import BUILT_IN, own_folder
     from page_training.own.category import SCALE_SIGMA, OwnCategory, own_category
-    from page_training.own.files import write_own
+    from page_training.own.files import CATEGORY_FILE, write_own
     from page_training.own.joint_file import read_joint_file
     from page_training.own.urdf import read_urdf
     from page_training.terminal import progress_bar
@@ -54,8 +54,11 @@ def _from_urdf(options: argparse.Namespace) -> None:
         symmetries=[_symmetry(*words) for words in options.symmetric],
     )
     folder = own_folder(options.name)
+    replaced = (folder / CATEGORY_FILE).is_file()
     write_own(own, folder)
     _tell(own)
+    if replaced:
+        print(f"replaces the category {options.name} there was: what differs from it needs page-train scenes again")
     print(folder)
 
 
