@@ -170,6 +170,59 @@ def test_a_joint_file_says_what_it_means(cupboard: Path) -> None:
     np.testing.assert_allclose(opened[:3, 3], hinge + turn @ (closed[:3, 3] - hinge), atol=1e-6)
 
 
+BOLT = """[[part]]
+name = "bolt"
+mesh = "knob.glb"
+[[joint]]
+name = "slide"
+parent = "door"
+child = "bolt"
+kind = "prismatic"
+axis = [1, 0, 0]
+limits_m = [0, 0.05]
+"""
+
+
+def beside(files: Path, folder: Path, text: str) -> Path:
+    """The joint file of this text in a folder, with the cupboard's meshes."""
+    for name in ("frame.stl", "door.ply", "knob.glb"):
+        (folder / name).write_bytes((files.parent / name).read_bytes())
+    path = folder / "cupboard.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_joint_of_a_joint_file_taken_for_fixed_joins_its_parts(cupboard: Path, tmp_path: Path) -> None:
+    path = beside(cupboard, tmp_path, JOINT_FILE + BOLT)
+    apart, joined = read_joint_file(path), read_joint_file(path, ["slide"])
+    assert [part.name for part in joined.parts] == ["frame", "door"]
+    assert [joint.name for joint in joined.joints] == ["hinge"]
+    assert set(joined.parts[1].links) == {"door", "bolt"}
+    count = [len(part.surface.triangles) for part in apart.parts]
+    assert [len(part.surface.triangles) for part in joined.parts] == [count[0], count[1] + count[2]]
+    carried = read_joint_file(path, ["hinge"])
+    assert [part.name for part in carried.parts] == ["frame", "bolt"]
+    assert [(joint.name, joint.parent, joint.child) for joint in carried.joints] == [("slide", 0, 1)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fixed", "word"),
+    [
+        ("", "", ["lid"], "expected joints of hinge, slide, got lid"),
+        ('name = "slide"', 'name = "hinge"', [], "got hinge more than once"),
+        ('child = "bolt"', 'child = "door"', ["slide"], "part 'door': .*got hinge, slide"),
+        ('parent = "door"', 'parent = "bolt"', ["slide"], "a ring through bolt"),
+        ('child = "bolt"', 'child = "frame"', ["slide"], "part 'frame': expected no joint"),
+    ],
+)
+def test_joints_that_cannot_be_told_or_fixed_are_refused(
+    old: str, new: str, fixed: list[str], word: str, cupboard: Path, tmp_path: Path
+) -> None:
+    path = beside(cupboard, tmp_path, JOINT_FILE + BOLT.replace(old, new, 1))
+    with pytest.raises(ValueError, match=word):
+        read_joint_file(path, fixed)
+
+
 @pytest.mark.usefixtures("own_crane")
 def test_an_own_category_is_used_as_any_other(tmp_path: Path) -> None:
     assert "crane" in known_categories()
@@ -307,6 +360,7 @@ def test_what_cannot_be_made_is_refused_in_a_sentence(
         ("meshes/slide.obj", "meshes/gone.obj", "expected the mesh meshes/gone.obj"),
         ('<geometry><cylinder radius="0.02" length="0.2"/>\n    </geometry>', "", "yourdfpy can load"),
         ('lower="0" upper="0.1"', 'lower="0.1" upper="0.1"', "low < high"),
+        ('joint name="reach"', 'joint name="lift"', "got lift more than once"),
     ],
 )
 def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, crane: Path, tmp_path: Path) -> None:

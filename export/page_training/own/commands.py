@@ -15,7 +15,7 @@ def add_to(commands: Any) -> None:
     parser = commands.add_parser("from-urdf", help=text, description=text)
     parser.add_argument("name", help="of the category: letters, digits, underscores")
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="one object each, .urdf or .toml")
-    parser.add_argument("--fix", nargs="+", default=[], metavar="JOINT", help="take these joints of a URDF for fixed")
+    parser.add_argument("--fix", nargs="+", default=[], metavar="JOINT", help="take these joints for fixed, at 0")
     parser.add_argument("--rest", default="stand", help="stand (on the root's -z side) or any (default: %(default)s)")
     parser.add_argument("--scale-sigma", type=float, help="by which sizes vary, a share (default: 0.02)")
     parser.add_argument(
@@ -42,7 +42,7 @@ def _from_urdf(options: argparse.Namespace) -> None:
             if path.suffix == ".urdf":
                 models.append(read_urdf(path, options.fix))
             elif path.suffix == ".toml":
-                models.append(read_joint_file(path))
+                models.append(read_joint_file(path, options.fix))
             else:
                 raise ValueError(f"{path}: expected a .urdf file, or a .toml file that names meshes and joints")
             progress.advance(task)

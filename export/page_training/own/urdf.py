@@ -10,7 +10,7 @@ import numpy as np
 
 from page_runtime.category import JointKind
 from page_runtime.geometry import Array
-from page_training.own.model import OwnJoint, OwnModel, OwnPart
+from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_different, require_known
 from page_training.own.surfaces import link_meshes, multiplied, open_urdf, surfaces_of
 
 KINDS: dict[str, JointKind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
@@ -24,9 +24,8 @@ def read_urdf(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     moving links without geometry.
     """
     robot = open_urdf(path)
-    unknown = sorted(set(fixed) - set(robot.joint_map))
-    if unknown:
-        raise ValueError(f"{path}: expected joints of {sorted(robot.joint_map)}, got {', '.join(unknown)}")
+    require_different([joint.name for joint in robot.robot.joints], "joints", path)
+    require_known(fixed, list(robot.joint_map), path)
     robot.update_cfg(np.zeros(robot.num_actuated_joints))
     moving = [joint for joint in _in_order(robot) if joint.type != "fixed" and joint.name not in fixed]
     strange = [joint for joint in moving if joint.type not in KINDS]
