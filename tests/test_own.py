@@ -147,6 +147,23 @@ def test_surfaces_lie_where_the_urdf_has_them_and_are_made_simple(crane_model: O
     np.testing.assert_allclose(colors, np.tile([0.9, 0.5, 0.1], (len(colors), 1)), atol=0.02)
 
 
+def test_a_joint_that_follows_another_stands_at_its_own_zero(crane: Path, tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    for name in ("mast.stl", "slide.obj"):
+        (tmp_path / "meshes" / name).write_bytes((crane.parent / "meshes" / name).read_bytes())
+    limit = '<limit lower="0" upper="0.1"'
+    for multiplier, leader in ((-1, "lift"), (0, "turn")):
+        follows = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="0.07"/>'
+        (tmp_path / "crane.urdf").write_text(URDF.replace(limit, follows + limit))
+        for fixed in ([], ["lift"], ["reach"]):
+            model, free = read_urdf(tmp_path / "crane.urdf", fixed), read_urdf(crane, fixed)
+            for part, same in zip(model.parts, free.parts, strict=True):
+                np.testing.assert_allclose(part.surface.vertices, same.surface.vertices, atol=1e-7)
+                for link, T in part.links.items():
+                    np.testing.assert_allclose(T, same.links[link], atol=1e-9)
+            assert [joint.point for joint in model.joints] == [joint.point for joint in free.joints]
+
+
 def test_a_joint_taken_for_fixed_joins_its_links(crane: Path) -> None:
     model = read_urdf(crane, ["lift"])
     assert [part.name for part in model.parts] == ["foot", "mast", "slide"]

@@ -26,7 +26,10 @@ def read_urdf(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     robot = open_urdf(path)
     require_different([joint.name for joint in robot.robot.joints], "joints", path)
     require_known(fixed, list(robot.joint_map), path)
-    robot.update_cfg(np.zeros(robot.num_actuated_joints))
+    for joint in robot.robot.joints:
+        # One that follows another would stand at its offset, which is no state 0 of its own.
+        joint.mimic = None
+    robot.update_cfg(dict.fromkeys(robot.joint_map, 0.0))
     moving = [joint for joint in _in_order(robot) if joint.type != "fixed" and joint.name not in fixed]
     strange = [joint for joint in moving if joint.type not in KINDS]
     if strange:
