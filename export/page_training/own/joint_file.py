@@ -61,6 +61,9 @@ def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     for part in parts:
         _closed(part, {"name", "mesh"}, set(), f"{path}, part {part.get('name')!r}")
         files = [part["mesh"]] if isinstance(part["mesh"], str) else part["mesh"]
+        if not isinstance(files, list) or not files or not all(isinstance(file, str) for file in files):
+            where = f"{path}, part {part['name']!r}: mesh"
+            raise ValueError(f"{where}: expected a file's name or a list of them, got {part['mesh']!r}")
         meshes.append([mesh for file in files for mesh in open_mesh(path.parent / str(file), UNITS_M[unit])])
     all_joints = [_joint(entry, names, UNITS_M[unit], path) for entry in joints]
     require_different([joint.name for joint in all_joints], "joints", path)

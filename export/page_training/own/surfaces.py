@@ -51,8 +51,6 @@ def open_urdf(path: Path) -> Any:
         import yourdfpy
     except ImportError as error:
         raise ImportError(f"URDF files need yourdfpy ({error}): {_MISSING}") from error
-    if not path.is_file():
-        raise ValueError(f"{path}: expected a URDF file, got nothing there")
     faults: dict[str, str | None] = {}
 
     def mesh_file(fname: str, **_: object) -> str:

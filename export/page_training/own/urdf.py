@@ -10,8 +10,9 @@ import numpy as np
 
 from page_runtime.category import JointKind
 from page_runtime.geometry import Array
-from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_different, require_known
+from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_known
 from page_training.own.surfaces import link_meshes, multiplied, open_urdf, surfaces_of
+from page_training.own.urdf_structure import require_urdf
 
 KINDS: dict[str, JointKind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 
@@ -23,8 +24,10 @@ def read_urdf(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     joints that are neither fixed, revolute, continuous nor prismatic, for names that are not in the file, and for
     moving links without geometry.
     """
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a URDF file, got nothing there")
+    require_urdf(path)
     robot = open_urdf(path)
-    require_different([joint.name for joint in robot.robot.joints], "joints", path)
     require_known(fixed, list(robot.joint_map), path)
     for joint in robot.robot.joints:
         # One that follows another would stand at its offset, which is no state 0 of its own.
