@@ -344,6 +344,42 @@ def test_the_command_makes_a_category_that_the_others_take(
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
 
 
+def test_sizes_of_every_file_are_told_before_what_refuses_them(
+    crane: Path, cupboard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own").mkdir()
+    metres = beside(cupboard, tmp_path / "own", JOINT_FILE.replace('unit = "mm"', ""))
+    assert main(["from-urdf", "mixed", str(crane), str(metres)]) == 2
+    told = capsys.readouterr().out
+    assert "crane.urdf: part foot: 300 x 200 x 100 mm" in told
+    assert "cupboard.toml: part frame: 400000 x 300000 x 500000 mm" in told
+    assert [line for line in told.splitlines() if "is the unit right?" in line] == [
+        'cupboard.toml: a part measures 500 m: is the unit right? Where lengths are in mm, say so: unit = "mm"'
+    ]
+
+
+@pytest.mark.parametrize(
+    ("scale", "asked"),
+    [(1.0, None), (0.03, 'scale="1 1 1"'), (50.0, 'scale="0.001 0.001 0.001"')],
+)
+def test_a_urdf_of_no_likely_size_is_asked_for_its_unit(
+    scale: float, asked: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    box.export(tmp_path / "box.stl")
+    link = f'<visual><geometry><mesh filename="box.stl" scale="{scale} {scale} {scale}"/></geometry></visual></link>'
+    (tmp_path / "two.urdf").write_text(
+        f'<robot name="two"><link name="a">{link}<link name="b">{link}<joint name="turn" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    main(["from-urdf", "two", "two.urdf"])
+    told = capsys.readouterr().out
+    assert ("is the unit right?" in told) == (asked is not None)
+    assert asked is None or asked in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
