@@ -16,7 +16,7 @@ from trimesh.visual import ColorVisuals
 from page_runtime.geometry import Array, apply, invert, rotation_about
 from page_runtime.symmetry import Symmetry
 from page_training.batches import make_batch
-from page_training.cache import make_shard
+from page_training.cache import make_shard, write_shard
 from page_training.categories import category_named, known_categories, own_folder
 from page_training.cli import main
 from page_training.config import Augmentation
@@ -26,6 +26,7 @@ from page_training.own.joint_file import read_joint_file
 from page_training.own.model import OwnModel
 from page_training.own.surfaces import MOST_TRIANGLES
 from page_training.own.urdf import read_urdf
+from page_training.records import SCENES_VERSION, open_shards, record_type, shard_path
 from page_training.scenes import sample_scene, training_view
 from page_training.scenes.kinds import scene_category
 from page_training.templates import part_templates
@@ -146,6 +147,23 @@ def test_surfaces_lie_where_the_urdf_has_them_and_are_made_simple(crane_model: O
     np.testing.assert_allclose(colors, np.tile([0.9, 0.5, 0.1], (len(colors), 1)), atol=0.02)
 
 
+def test_a_joint_that_follows_another_stands_at_its_own_zero(crane: Path, tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    for name in ("mast.stl", "slide.obj"):
+        (tmp_path / "meshes" / name).write_bytes((crane.parent / "meshes" / name).read_bytes())
+    limit = '<limit lower="0" upper="0.1"'
+    for multiplier, leader in ((-1, "lift"), (0, "turn")):
+        follows = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="0.07"/>'
+        (tmp_path / "crane.urdf").write_text(URDF.replace(limit, follows + limit))
+        for fixed in ([], ["lift"], ["reach"]):
+            model, free = read_urdf(tmp_path / "crane.urdf", fixed), read_urdf(crane, fixed)
+            for part, same in zip(model.parts, free.parts, strict=True):
+                np.testing.assert_allclose(part.surface.vertices, same.surface.vertices, atol=1e-7)
+                for link, T in part.links.items():
+                    np.testing.assert_allclose(T, same.links[link], atol=1e-9)
+            assert [joint.point for joint in model.joints] == [joint.point for joint in free.joints]
+
+
 def test_a_joint_taken_for_fixed_joins_its_links(crane: Path) -> None:
     model = read_urdf(crane, ["lift"])
     assert [part.name for part in model.parts] == ["foot", "mast", "slide"]
@@ -167,6 +185,59 @@ def test_a_joint_file_says_what_it_means(cupboard: Path) -> None:
     hinge = np.array([-0.2, 0.0, 0.0]) - np.array([0.0, 0.15, 0.25])
     turn = rotation_about(np.array([0.0, 0.0, 1.0]), np.pi / 2)
     np.testing.assert_allclose(opened[:3, 3], hinge + turn @ (closed[:3, 3] - hinge), atol=1e-6)
+
+
+BOLT = """[[part]]
+name = "bolt"
+mesh = "knob.glb"
+[[joint]]
+name = "slide"
+parent = "door"
+child = "bolt"
+kind = "prismatic"
+axis = [1, 0, 0]
+limits_m = [0, 0.05]
+"""
+
+
+def beside(files: Path, folder: Path, text: str) -> Path:
+    """The joint file of this text in a folder, with the cupboard's meshes."""
+    for name in ("frame.stl", "door.ply", "knob.glb"):
+        (folder / name).write_bytes((files.parent / name).read_bytes())
+    path = folder / "cupboard.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_joint_of_a_joint_file_taken_for_fixed_joins_its_parts(cupboard: Path, tmp_path: Path) -> None:
+    path = beside(cupboard, tmp_path, JOINT_FILE + BOLT)
+    apart, joined = read_joint_file(path), read_joint_file(path, ["slide"])
+    assert [part.name for part in joined.parts] == ["frame", "door"]
+    assert [joint.name for joint in joined.joints] == ["hinge"]
+    assert set(joined.parts[1].links) == {"door", "bolt"}
+    count = [len(part.surface.triangles) for part in apart.parts]
+    assert [len(part.surface.triangles) for part in joined.parts] == [count[0], count[1] + count[2]]
+    carried = read_joint_file(path, ["hinge"])
+    assert [part.name for part in carried.parts] == ["frame", "bolt"]
+    assert [(joint.name, joint.parent, joint.child) for joint in carried.joints] == [("slide", 0, 1)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fixed", "word"),
+    [
+        ("", "", ["lid"], "expected joints of hinge, slide, got lid"),
+        ('name = "slide"', 'name = "hinge"', [], "got hinge more than once"),
+        ('child = "bolt"', 'child = "door"', ["slide"], "part 'door': .*got hinge, slide"),
+        ('parent = "door"', 'parent = "bolt"', ["slide"], "a ring through bolt"),
+        ('child = "bolt"', 'child = "frame"', ["slide"], "part 'frame': expected no joint"),
+    ],
+)
+def test_joints_that_cannot_be_told_or_fixed_are_refused(
+    old: str, new: str, fixed: list[str], word: str, cupboard: Path, tmp_path: Path
+) -> None:
+    path = beside(cupboard, tmp_path, JOINT_FILE + BOLT.replace(old, new, 1))
+    with pytest.raises(ValueError, match=word):
+        read_joint_file(path, fixed)
 
 
 @pytest.mark.usefixtures("own_crane")
@@ -273,6 +344,42 @@ def test_the_command_makes_a_category_that_the_others_take(
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
 
 
+def test_sizes_of_every_file_are_told_before_what_refuses_them(
+    crane: Path, cupboard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own").mkdir()
+    metres = beside(cupboard, tmp_path / "own", JOINT_FILE.replace('unit = "mm"', ""))
+    assert main(["from-urdf", "mixed", str(crane), str(metres)]) == 2
+    told = capsys.readouterr().out
+    assert "crane.urdf: part foot: 300 x 200 x 100 mm" in told
+    assert "cupboard.toml: part frame: 400000 x 300000 x 500000 mm" in told
+    assert [line for line in told.splitlines() if "is the unit right?" in line] == [
+        'cupboard.toml: a part measures 500 m: is the unit right? Where lengths are in mm, say so: unit = "mm"'
+    ]
+
+
+@pytest.mark.parametrize(
+    ("scale", "asked"),
+    [(1.0, None), (0.03, 'scale="1 1 1"'), (50.0, 'scale="0.001 0.001 0.001"')],
+)
+def test_a_urdf_of_no_likely_size_is_asked_for_its_unit(
+    scale: float, asked: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    box.export(tmp_path / "box.stl")
+    link = f'<visual><geometry><mesh filename="box.stl" scale="{scale} {scale} {scale}"/></geometry></visual></link>'
+    (tmp_path / "two.urdf").write_text(
+        f'<robot name="two"><link name="a">{link}<link name="b">{link}<joint name="turn" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    main(["from-urdf", "two", "two.urdf"])
+    told = capsys.readouterr().out
+    assert ("is the unit right?" in told) == (asked is not None)
+    assert asked is None or asked in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
@@ -304,8 +411,31 @@ def test_what_cannot_be_made_is_refused_in_a_sentence(
     [
         ('type="continuous"', 'type="floating"', "--fix turn takes it for fixed"),
         ("meshes/slide.obj", "meshes/gone.obj", "expected the mesh meshes/gone.obj"),
-        ('<geometry><cylinder radius="0.02" length="0.2"/>\n    </geometry>', "", "yourdfpy can load"),
+        (
+            '<geometry><cylinder radius="0.02" length="0.2"/>\n    </geometry>',
+            "",
+            "'boom': <visual>: .*got none",
+        ),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint 'turn': axis: expected a direction"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0"/>', "joint 'turn': axis xyz: expected three numbers, got '0 0'"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 ${up}"/>', "joint 'turn', <axis xyz>: .*of xacro; expand"),
+        ('<link name="foot">', '<xacro:leg/><link name="foot">', "<xacro:leg> of xacro; expand"),
+        ('<child link="boom"/>', '<child link="jib"/>', "joint 'lift': child: expected one of the links .*, got jib"),
+        ('<child link="boom"/>', "", "joint 'lift': child: .*got none"),
+        (
+            '<child link="lamp"/>',
+            '<child link="boom"/>',
+            "'boom': expected one parent, got mast .joint screw. and",
+        ),
+        ('<link name="foot">', '<link name="hook"/><link name="foot">', "that no joint carries, got hook, foot"),
+        ('<parent link="foot"/>', '<parent link="slide"/>', "a ring through mast"),
+        ('<link name="lamp">', '<link name="foot">', "got foot more than once"),
+        ('<sphere radius="0.03"/>', '<capsule radius="0.03"/>', "link 'lamp': <visual>: .*got <capsule>"),
+        ('mesh filename="package://crane/meshes/mast.stl"', "mesh", "link 'mast': <visual>: <mesh>: expected filename"),
+        ("</robot>", "", "crane.urdf: expected XML, got no element found: line"),
+        ('<robot name="crane">', "<robot>", "expected <robot name"),
         ('lower="0" upper="0.1"', 'lower="0.1" upper="0.1"', "low < high"),
+        ('joint name="reach"', 'joint name="lift"', "got lift more than once"),
     ],
 )
 def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, crane: Path, tmp_path: Path) -> None:
@@ -319,6 +449,38 @@ def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, cran
         read_urdf(path)
 
 
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("mast.stl", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
+        ("mast.dae", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
+        ("mast.stl", bytes(range(256)), "expected triangles, got none"),
+        ("mast.stl", None, "got nothing there"),
+        ("mast.obj", b"", "expected triangles, got none"),
+        ("mast.glb", b"no such thing", "a mesh that trimesh can load"),
+    ],
+)
+def test_every_mesh_of_a_urdf_is_read_or_named(
+    name: str, content: bytes | None, word: str, alone: bool, crane: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    for mesh in ("mast.stl", "slide.obj"):
+        (tmp_path / "meshes" / mesh).write_bytes((crane.parent / "meshes" / mesh).read_bytes())
+    sound = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
+    text = URDF.replace("mast.stl", name)
+    (tmp_path / "crane.urdf").write_text(
+        text if alone else text.replace('<link name="mast">', f'<link name="mast">{sound}')
+    )
+    (tmp_path / "meshes/mast.stl").unlink()
+    if content is not None:
+        (tmp_path / "meshes" / name).write_bytes(content)
+    with pytest.raises(ValueError, match=word) as refused:
+        read_urdf(tmp_path / "crane.urdf")
+    assert f"meshes/{name}" in str(refused.value)
+    assert "--fix" not in str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
@@ -330,6 +492,8 @@ def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, cran
         ("limits_deg = [0, 110]", "limits_deg = [110, 0]", "low < high"),
         ("limits_deg = [0, 110]", "limits_m = [0, 1]", "missing"),
         ('mesh = "frame.stl"', 'mesh = "gone.stl"', "got nothing there"),
+        ('mesh = "frame.stl"', "mesh = 5", "part 'frame': mesh: expected a file's name or a list of them, got 5"),
+        ('mesh = "frame.stl"', "mesh = []", r"got \[\]"),
         ('name = "door"', 'name = "frame"', "different names"),
         ("[[joint]]", "[joint]", r"\[\[joint\]\]"),
         ('unit = "mm"', 'unit = mm"', "expected TOML"),
@@ -345,6 +509,25 @@ def test_a_joint_file_that_cannot_be_used_says_why(
     path.write_text(JOINT_FILE.replace(old, new, 1))
     with pytest.raises(ValueError, match=word):
         read_joint_file(path)
+
+
+def test_a_category_made_again_does_not_use_the_frames_of_the_one_before(
+    own_crane: OwnCategory, crane: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = shard_path(tmp_path, "crane", "train", 0)
+    write_shard(before, np.zeros(1, record_type(4)))
+    write_own(own_crane, own_folder("crane"))
+    assert shard_path(tmp_path, "crane", "train", 0) == before
+    assert len(open_shards(tmp_path, "crane", "train")) == 1
+    assert main(["from-urdf", "crane", str(crane), "--fix", "reach"]) == 0
+    assert "replaces the category crane" in capsys.readouterr().out
+    assert shard_path(tmp_path, "crane", "train", 0).parent != before.parent
+    assert not open_shards(tmp_path, "crane", "train")
+    assert main(["pose", "crane", "--cache", str(tmp_path), "--run", str(tmp_path / "run")]) == 2
+    told = capsys.readouterr().err
+    assert f"{before.parent.name}: of another make of it" in told
+    assert "page-train scenes" in told
+    assert shard_path(tmp_path, "box", "train", 0).parent.name == f"box-v{SCENES_VERSION}"
 
 
 @pytest.mark.usefixtures("own_crane")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from page_runtime.content_hash import sha256_of
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
+from page_training.categories import BUILT_IN, own_folder
 
 # Raise it with every change to scenes, sensor or sampling: frames of different versions must not mix.
 SCENES_VERSION = 3
@@ -39,8 +43,27 @@ def record_type(num_parts: int) -> np.dtype[Any]:
 
 
 def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
-    """Where a shard lives under the cache folder."""
-    return root / f"{category}-v{SCENES_VERSION}" / f"{split}-{shard:04d}.npy"
+    """Where a shard lives under the cache folder; a category of the user's own, made again, has another place."""
+    return root / f"{category}-v{SCENES_VERSION}{_mark(category)}" / f"{split}-{shard:04d}.npy"
+
+
+def other_frames(root: Path, category: str) -> list[Path]:
+    """Folders of frames that another make of the user's own category, or another release, left under `root`."""
+    current = shard_path(root, category, SPLITS[0], 0).parent
+    return sorted(path for path in root.glob(f"{category}-v*") if path != current and path.is_dir())
+
+
+def _mark(category: str) -> str:
+    """What tells frames of one make of the user's own category from those of another; empty for built-in ones."""
+    files = [own_folder(category) / name for name in ("category.json", "models.npz")]
+    if category in BUILT_IN or not all(file.is_file() for file in files):
+        return ""
+    return "-" + _short_hash(*((file.absolute(), file.stat().st_mtime_ns, file.stat().st_size) for file in files))
+
+
+@lru_cache(maxsize=32)
+def _short_hash(*files: tuple[Path, int, int]) -> str:
+    return hashlib.sha256("".join(sha256_of(path) for path, _, _ in files).encode()).hexdigest()[:8]
 
 
 def open_shards(root: Path, category: str, split: str) -> list[NDArray[Any]]:

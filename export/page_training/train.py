@@ -25,7 +25,7 @@ from page_training.batches import Batch, make_batch
 from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint
 from page_training.config import TrainingConfig
 from page_training.optimization import optimizers_for, set_learning_rate, update_average
-from page_training.records import fault_of, open_shards
+from page_training.records import fault_of, open_shards, other_frames
 from page_training.run_folder import add_report, begin, require_same_run, validation_totals
 from page_training.targets import settled_targets
 from page_training.validation import validation_losses, validation_picture
@@ -94,7 +94,11 @@ def _draw(
 def _shards_for(cache: Path, category: Category, maker: str = "scenes") -> list[NDArray[Any]]:
     shards = open_shards(cache, category.name, "train")
     if not shards:
-        raise FileNotFoundError(f"no training shards of {category.name!r} in {cache}; run page-train {maker} first")
+        others = ", ".join(path.name for path in other_frames(cache, category.name))
+        old = f" ({others}: of another make of it, not used, may be deleted)" if others else ""
+        raise FileNotFoundError(
+            f"no training shards of {category.name!r} in {cache}{old}; run page-train {maker} first"
+        )
     return shards
 
 

@@ -23,13 +23,15 @@ limits_deg = [0, 110]            # limits_m for a prismatic joint
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from page_runtime.category import JointKind
-from page_training.own.model import OwnJoint, OwnModel, OwnPart
+from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_different, require_known
 from page_training.own.surfaces import open_mesh, surfaces_of
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -39,8 +41,11 @@ KINDS: dict[str, tuple[JointKind, str]] = {
 }
 
 
-def read_joint_file(path: Path) -> OwnModel:
-    """The model that a joint file describes; ValueError names what is wrong with it."""
+def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
+    """The model that a joint file describes; ValueError names what is wrong with it.
+
+    fixed: joints taken for fixed at 0, so that the meshes of what they carry belong to the part that carries them.
+    """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -51,17 +56,55 @@ def read_joint_file(path: Path) -> OwnModel:
         raise ValueError(f"{path}: unit: expected one of {', '.join(UNITS_M)}, got {unit!r}")
     parts, joints = (_tables(document, name, path) for name in ("part", "joint"))
     names = [str(part.get("name")) for part in parts]
-    if len(set(names)) != len(names):
-        raise ValueError(f"{path}: expected parts of different names, got {', '.join(names)}")
+    require_different(names, "parts", path)
     meshes = []
     for part in parts:
         _closed(part, {"name", "mesh"}, set(), f"{path}, part {part.get('name')!r}")
         files = [part["mesh"]] if isinstance(part["mesh"], str) else part["mesh"]
+        if not isinstance(files, list) or not files or not all(isinstance(file, str) for file in files):
+            where = f"{path}, part {part['name']!r}: mesh"
+            raise ValueError(f"{where}: expected a file's name or a list of them, got {part['mesh']!r}")
         meshes.append([mesh for file in files for mesh in open_mesh(path.parent / str(file), UNITS_M[unit])])
+    all_joints = [_joint(entry, names, UNITS_M[unit], path) for entry in joints]
+    require_different([joint.name for joint in all_joints], "joints", path)
+    require_known(fixed, [joint.name for joint in all_joints], path)
+    _require_tree(all_joints, names, path)
+    carrier = _carriers(all_joints, fixed, len(names))
+    kept = [k for k in range(len(names)) if carrier[k] == k]
+    joined = [[mesh for k, own in enumerate(meshes) if carrier[k] == part for mesh in own] for part in kept]
     own = tuple(
-        OwnPart(name, surface, {name: np.eye(4)}) for name, surface in zip(names, surfaces_of(meshes), strict=True)
+        OwnPart(names[part], surface, {names[k]: np.eye(4) for k in range(len(names)) if carrier[k] == part})
+        for part, surface in zip(kept, surfaces_of(joined), strict=True)
     )
-    return OwnModel(path.name, own, tuple(_joint(entry, names, UNITS_M[unit], path) for entry in joints))
+    moving = tuple(
+        replace(joint, parent=kept.index(carrier[joint.parent]), child=kept.index(joint.child))
+        for joint in all_joints
+        if joint.name not in fixed
+    )
+    return OwnModel(path.name, own, moving)
+
+
+def _require_tree(joints: Sequence[OwnJoint], names: Sequence[str], path: Path) -> None:
+    """ValueError for a part that not exactly one chain of joints leads to from the first."""
+    for k, name in enumerate(names):
+        moved_by = [joint.name for joint in joints if joint.child == k]
+        if len(moved_by) != min(k, 1):
+            expected = "no joint to move the first part" if k == 0 else "one joint to move every part but the first"
+            raise ValueError(f"{path}: part {name!r}: expected {expected}, got {', '.join(moved_by) or 'none'}")
+    reached = set(_carriers(joints, [joint.name for joint in joints], len(names)))
+    if reached != {0}:
+        ring = ", ".join(names[k] for k in sorted(reached - {0}))
+        raise ValueError(f"{path}: expected joints from the first part to every other, got a ring through {ring}")
+
+
+def _carriers(joints: Sequence[OwnJoint], fixed: Sequence[str], count: int) -> list[int]:
+    """Of every part the one it belongs to: itself, or what a chain of fixed joints joins it to."""
+    carrier = list(range(count))
+    joining = {joint.child: joint.parent for joint in joints if joint.name in fixed}
+    # A chain is no longer than there are parts; in a ring none comes to the first part.
+    for _ in range(count):
+        carrier = [joining.get(part, part) for part in carrier]
+    return carrier
 
 
 def _joint(entry: dict[str, Any], names: list[str], unit_m: float, path: Path) -> OwnJoint:

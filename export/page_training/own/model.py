@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,20 @@ from page_runtime.geometry import Array
 
 # Lengths below this are no surface a depth camera sees, and no box has a side of nothing.
 LEAST_SIZE_M = 1e-4
+
+
+def require_different(names: Sequence[str], what: str, source: object) -> None:
+    """ValueError names what there is twice of things that are told apart by name."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"{source}: expected {what} of different names, got {', '.join(twice)} more than once; rename")
+
+
+def require_known(fixed: Sequence[str], known: Sequence[str], source: object) -> None:
+    """ValueError for joints to be taken for fixed that are not there."""
+    unknown = sorted(set(fixed) - set(known))
+    if unknown:
+        raise ValueError(f"{source}: --fix: expected joints of {', '.join(sorted(known))}, got {', '.join(unknown)}")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,6 +75,7 @@ class OwnModel:
     def __post_init__(self) -> None:
         if not self.joints:
             raise ValueError(f"{self.source}: expected joints that move, got none; then it is one rigid object")
+        require_different([joint.name for joint in self.joints], "joints", self.source)
         children = [joint.child for joint in self.joints]
         if sorted(children) != list(range(1, len(self.parts))):
             raise ValueError(f"{self.source}: expected every part but the first to be the child of one joint")

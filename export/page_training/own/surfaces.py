@@ -17,6 +17,7 @@ MOST_TRIANGLES = 24_000
 MOST_COLORS = 12
 GRAY = np.array([0.6, 0.6, 0.6], np.float32)
 _MISSING = "pip install 'page-edge[models]'"
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 def open_mesh(path: Path, unit_m: float = 1.0) -> list[Any]:
@@ -27,41 +28,61 @@ def open_mesh(path: Path, unit_m: float = 1.0) -> list[Any]:
         raise ImportError(f"mesh files need trimesh ({error}): {_MISSING}") from error
     if not path.is_file():
         raise ValueError(f"{path}: expected a mesh file, got nothing there")
+    with path.open("rb") as file:
+        if file.read(len(_LFS_POINTER)) == _LFS_POINTER:
+            raise ValueError(
+                f"{path}: expected a mesh, got a Git-LFS pointer to one; `git lfs pull` in its repository fetches it"
+            )
     try:
         scene = trimesh.load_scene(path)
     except Exception as error:  # every format's loader raises its own
         raise ValueError(f"{path}: expected a mesh that trimesh can load, got {error}") from error
     meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
-        raise ValueError(f"{path}: expected triangles, got none")
+        raise ValueError(f"{path}: expected triangles, got none; the file is empty, cut off or of another format")
     for mesh in meshes:
         mesh.apply_scale(unit_m)
     return meshes
 
 
 def open_urdf(path: Path) -> Any:
-    """The robot of a URDF file with its visual meshes; ValueError when it cannot be read."""
+    """The robot of a URDF file with its visual meshes; ValueError when it or one of them cannot be read."""
     try:
         import yourdfpy
     except ImportError as error:
         raise ImportError(f"URDF files need yourdfpy ({error}): {_MISSING}") from error
-    if not path.is_file():
-        raise ValueError(f"{path}: expected a URDF file, got nothing there")
-    missing: list[str] = []
+    faults: dict[str, str | None] = {}
 
     def mesh_file(fname: str, **_: object) -> str:
         found = _mesh_file(path, fname)
-        if found is None:
-            missing.append(fname)
+        if fname not in faults:
+            faults[fname] = _mesh_fault(fname, found)
         return fname if found is None else str(found)
 
+    failure: Exception | None = None
+    robot = None
     try:
         robot = yourdfpy.URDF.load(str(path), load_meshes=True, build_scene_graph=True, filename_handler=mesh_file)
     except Exception as error:  # XML, mesh and path errors of several libraries
-        raise ValueError(f"{path}: expected a URDF that yourdfpy can load, got {error}") from error
-    if missing:
-        raise ValueError(f"{path}: expected the mesh {missing[0]} beside it or in a folder above, got nothing there")
+        failure = error
+    # yourdfpy leaves out what trimesh finds nothing in, without a word.
+    if found := [fault for fault in faults.values() if fault]:
+        more = f"; {len(found) - 1} more of its meshes cannot be read either" if len(found) > 1 else ""
+        raise ValueError(f"{path}: {found[0]}{more}")
+    if failure is not None:
+        raise ValueError(f"{path}: expected a URDF that yourdfpy can load, got {failure}") from failure
     return robot
+
+
+def _mesh_fault(name: str, found: Path | None) -> str | None:
+    """Why a mesh that a URDF names cannot be read, None for one that can."""
+    if found is None:
+        return f"expected the mesh {name} beside it or in a folder above, got nothing there"
+    try:
+        open_mesh(found)
+    except ValueError as error:
+        return f"mesh {error}"
+    return None
 
 
 def _mesh_file(urdf: Path, name: str) -> Path | None:

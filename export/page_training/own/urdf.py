@@ -10,8 +10,9 @@ import numpy as np
 
 from page_runtime.category import JointKind
 from page_runtime.geometry import Array
-from page_training.own.model import OwnJoint, OwnModel, OwnPart
+from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_known
 from page_training.own.surfaces import link_meshes, multiplied, open_urdf, surfaces_of
+from page_training.own.urdf_structure import require_urdf
 
 KINDS: dict[str, JointKind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 
@@ -23,11 +24,15 @@ def read_urdf(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     joints that are neither fixed, revolute, continuous nor prismatic, for names that are not in the file, and for
     moving links without geometry.
     """
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a URDF file, got nothing there")
+    require_urdf(path)
     robot = open_urdf(path)
-    unknown = sorted(set(fixed) - set(robot.joint_map))
-    if unknown:
-        raise ValueError(f"{path}: expected joints of {sorted(robot.joint_map)}, got {', '.join(unknown)}")
-    robot.update_cfg(np.zeros(robot.num_actuated_joints))
+    require_known(fixed, list(robot.joint_map), path)
+    for joint in robot.robot.joints:
+        # One that follows another would stand at its offset, which is no state 0 of its own.
+        joint.mimic = None
+    robot.update_cfg(dict.fromkeys(robot.joint_map, 0.0))
     moving = [joint for joint in _in_order(robot) if joint.type != "fixed" and joint.name not in fixed]
     strange = [joint for joint in moving if joint.type not in KINDS]
     if strange:
