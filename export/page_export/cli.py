@@ -116,7 +116,8 @@ def main(arguments: list[str] | None = None) -> int:
     except ImportError as error:
         print(f"page-export: {error}; export needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
         return 2
-    except (ValueError, OSError) as error:
+    # RuntimeError: a NetworkError, of a bundle that loads and fails when it runs.
+    except (ValueError, OSError, RuntimeError) as error:
         print(f"page-export: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
