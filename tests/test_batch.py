@@ -18,7 +18,8 @@ from page_export.parity import samples_of
 from page_runtime.bundle import BundleError, category_document
 from page_runtime.bundle_file import read_bundle, read_metadata
 from page_runtime.capture.playback import open_source
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network, feeds
+from page_runtime.network import Network, feeds
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_training.categories import CATEGORIES
 from page_training.checkpoint import save_checkpoint
 from page_training.network import PageNetwork, network_for

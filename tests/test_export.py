@@ -26,8 +26,9 @@ from page_export.parity_commands import table
 from page_runtime.bundle import METADATA_KEY, BundleError, category_document
 from page_runtime.capture.playback import open_source
 from page_runtime.neighbours import find_neighbours
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
+from page_runtime.network import Network
 from page_runtime.onnx_file import sealed
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_training.categories import CATEGORIES
 from page_training.checkpoint import save_checkpoint
 from page_training.config import Fusion

@@ -12,8 +12,9 @@ import pytest
 from onnx import helper, numpy_helper
 
 from page_runtime.bundle import BundleError
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, Network
+from page_runtime.network import Network
 from page_runtime.onnx_file import sealed
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 
 
 def rewired(bundle: Path, path: Path, name: str, dtype: type, shape: list[Any]) -> Path:

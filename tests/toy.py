@@ -22,10 +22,10 @@ from page_runtime.category import Category, Joint, Part
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, apply, invert, rotation_about, transform_from
 from page_runtime.neighbours import ANSWERED, GROUP_SIZE, INTERPOLATION_SIZE, LEVELS
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
 from page_runtime.recorded import Instance, PartTruth, RecordedFrame
 from page_runtime.recording import RecordingWriter
 from page_runtime.sampling import Region, sample_region
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from synthetic_parts import box_template
 
 IMAGE_SIZE = 224

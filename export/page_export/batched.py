@@ -23,7 +23,9 @@ from page_export.simplified import simplified
 from page_runtime.bundle import BundleMetadata
 from page_runtime.graph_limits import MAX_BATCH
 from page_runtime.neighbours import LEVELS
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, SLOWER, feeds, session_options
+from page_runtime.network import SLOWER, feeds
+from page_runtime.sessions import session_options
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_training.network import PageNetwork
 
 DYNAMIC = "dynamic"

@@ -20,7 +20,7 @@ from page_export.simplified import simplified
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, LEVELS, answered_of, levels_of
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_training.config import VOXEL_M
 from page_training.layers import Convolution
 from page_training.network import NetworkInputs, PageNetwork

@@ -15,11 +15,12 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.estimator import sample_for
 from page_runtime.evaluation import rotation_error, translation_error
 from page_runtime.neighbours import Neighbours, find_neighbours
-from page_runtime.network import OUTPUT_NAMES, NetworkOutput
+from page_runtime.network import NetworkOutput
 from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import ArticulatedPose, NotSeen, PartPose
 from page_runtime.recorded import Source
 from page_runtime.sampling import RegionSample
+from page_runtime.signature import OUTPUT_NAMES
 from page_training.evaluate import torch_inputs
 from page_training.network import NetworkInputs, PageNetwork
 

@@ -14,7 +14,9 @@ import onnxruntime as ort
 
 from page_export.parity import Inputs
 from page_runtime.bundle_file import read_bundle
-from page_runtime.network import OUTPUT_NAMES, SLOWER, feeds, session_options
+from page_runtime.network import SLOWER, feeds
+from page_runtime.sessions import session_options
+from page_runtime.signature import OUTPUT_NAMES
 
 WARM_UP = 5
 

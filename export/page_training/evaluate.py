@@ -12,11 +12,12 @@ from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
 from page_runtime.estimator import sample_for
 from page_runtime.neighbours import LEVELS, Neighbours, find_neighbours
-from page_runtime.network import INPUT_NAMES, OUTPUT_NAMES, NetworkOutput, feeds
+from page_runtime.network import NetworkOutput, feeds
 from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import ArticulatedPose, not_seen
 from page_runtime.recorded import PartTruth, Source
 from page_runtime.sampling import RegionSample
+from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_runtime.validation.figures import figures_of
 from page_training.config import VOXEL_M
 from page_training.network import NetworkInputs, NetworkOutputs, PageNetwork

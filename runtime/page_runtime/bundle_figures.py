@@ -51,15 +51,23 @@ def figures_from(entry: Any) -> PartFigures:
             raise ValueError(f"figures, {name}: expected text, got {entry[name]!r}")
     if not isinstance(entry["instances"], int) or isinstance(entry["instances"], bool) or entry["instances"] < 0:
         raise ValueError(f"figures, instances: expected a count, got {entry['instances']!r}")
-    pairs = {name: _pair(entry[name], name) for name in _PAIRS}
-    shares = {name: _value(entry[name], name) for name in _SHARES}
-    return PartFigures(data=entry["data"], instances=entry["instances"], part=entry["part"], **pairs, **shares)
+    return PartFigures(
+        data=entry["data"],
+        instances=entry["instances"],
+        part=entry["part"],
+        rotation_deg=_pair(entry, "rotation_deg"),
+        translation_m=_pair(entry, "translation_m"),
+        translation_share=_pair(entry, "translation_share"),
+        acc_5deg5cm=_value(entry["acc_5deg5cm"], "acc_5deg5cm"),
+        failure_rate=_value(entry["failure_rate"], "failure_rate"),
+    )
 
 
-def _pair(entry: Any, name: str) -> tuple[float | None, float | None]:
-    if not isinstance(entry, dict) or set(entry) != {"mean", "median"}:
-        raise ValueError(f"figures, {name}: expected mean and median, got {entry!r}")
-    return _value(entry["mean"], name), _value(entry["median"], name)
+def _pair(entry: dict[str, Any], name: str) -> tuple[float | None, float | None]:
+    pair = entry[name]
+    if not isinstance(pair, dict) or set(pair) != {"mean", "median"}:
+        raise ValueError(f"figures, {name}: expected mean and median, got {pair!r}")
+    return _value(pair["mean"], name), _value(pair["median"], name)
 
 
 def _value(value: Any, name: str) -> float | None:
