@@ -117,6 +117,25 @@ def latency() -> str:
     return f"{_table(header, rows)}\nMeasured on {'; '.join(machines)}.\n"
 
 
+def elsewhere() -> str:
+    """Of `page-runtime bench` on other machines, a row for each kept run."""
+    header = (
+        "machine, threads", "bundle", "network", "total", "spread of windows, %", "longer than 160 ms, %",
+        "first pose, s",
+    )  # fmt: skip
+    rows = []
+    for path in sorted((RESULTS / "elsewhere").glob("*.json")):
+        one = _read(path)
+        network, total = (
+            f"{times['p50_ms']:.0f} / {times['p95_ms']:.0f}" for times in (one["stages"]["network"], one["total"])
+        )
+        cold = f"{1e-3 * one['cold_start']['total_ms']:.2f}"
+        rows.append(
+            (f"{one['cpu']}, {one['threads']}", one["category"], network, total, _spread(one), _late(one), cold)
+        )
+    return _table(header, rows)
+
+
 def sweeps() -> str:
     """Latency by parts beside the paper's time, of the last kept run of benchmarks/latency_sweeps.py."""
     from benchmarks.sweep_tables import parts_table
@@ -133,6 +152,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy,
     "joints": joints,
     "latency": latency,
+    "elsewhere": elsewhere,
     "sweeps": sweeps,
 }
 

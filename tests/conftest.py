@@ -1,4 +1,4 @@
-"""Fixtures that several tests share: the toy's recording with the bundle that knows it, the boxes that are followed."""
+"""Fixtures that several tests share: the toy's recording with the bundle that knows it, followed boxes, own models."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from page_runtime import Network
     from page_runtime.recorded import RecordedFrame
     from page_runtime.sampling import RegionSample
+    from page_training.own.model import OwnModel
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -72,3 +73,27 @@ def network() -> Network:
 def frames(network: Network) -> list[RecordedFrame]:
     """Frames of boxes in which the network is right. Read only."""
     return followed_boxes.good_frames(network)
+
+
+@pytest.fixture(scope="session")
+def crane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A URDF of four moving parts and a lamp that is fixed to one. Read only."""
+    from own_models import write_crane
+
+    return write_crane(tmp_path_factory.mktemp("crane"))
+
+
+@pytest.fixture(scope="session")
+def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A joint file with meshes in millimetres. Read only."""
+    from own_models import write_cupboard
+
+    return write_cupboard(tmp_path_factory.mktemp("cupboard"))
+
+
+@pytest.fixture(scope="session")
+def crane_model(crane: Path) -> OwnModel:
+    """What is read of the crane."""
+    from page_training.own.urdf import read_urdf
+
+    return read_urdf(crane)

@@ -16,8 +16,9 @@ from page_export.cli import main
 from page_export.onnx_export import write_bundle
 from page_export.parity import samples_of
 from page_runtime.bundle import BundleError, category_document
-from page_runtime.bundle_file import read_bundle, read_metadata
+from page_runtime.bundle_file import read_bundle
 from page_runtime.capture.playback import open_source
+from page_runtime.cli import main as runtime
 from page_runtime.network import Network, feeds
 from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from page_training.categories import CATEGORIES
@@ -81,10 +82,13 @@ def test_of_several_objects_it_says_what_it_says_of_each_alone(dynamic: onnx.Mod
                 np.testing.assert_allclose(ours, alone[k][nth][0], atol=1e-5)
 
 
-def test_the_runtime_refuses_any_batch_but_one_and_says_how_to_get_it(exported: Path, tmp_path: Path) -> None:
+def test_the_runtime_refuses_any_batch_but_one_says_how_to_get_it_and_shows_what_it_is(
+    exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(BundleError, match=r"dynamic\.onnx: it takes a free number of objects .* without --batch"):
         Network(exported)
-    assert read_metadata(exported).category.name == "laptop"
+    assert runtime(["inspect", str(exported)]) == 0
+    assert "category       laptop" in capsys.readouterr().out
     write_bundle(with_rows(onnx.load(exported), 2), LAPTOP, tmp_path / "two.onnx", mirrored=True, provenance={})
     with pytest.raises(BundleError, match=r"two\.onnx: it takes 2 objects at once"):
         Network(tmp_path / "two.onnx")

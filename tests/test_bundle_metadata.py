@@ -56,7 +56,8 @@ def test_figures_survive_the_round_trip_and_are_of_known_parts(metadata: BundleM
         (lambda d: d.update(surprise=1), "not understood .*surprise"),
         (lambda d: d["parts"][0].pop("frame"), "part: missing .*frame"),
         (lambda d: d["parts"][0].update(keypoints_unit=[[0, 0]]), "keypoints_unit"),
-        (lambda d: d["parts"][0].update(keypoints_unit=[[0.3, 0, 0]] * 8), "at least 0.01 apart"),
+        (lambda d: d["parts"][0].update(keypoints_unit=[[0.3, 0, 0]] * 8), "0.01 or more off one line"),
+        (lambda d: d["parts"][0].update(keypoints_unit=[[k, k, 0] for k in range(8)]), "0.01 or more off one line"),
         (lambda d: d["parts"][0]["keypoints_unit"].__setitem__(0, [1e30, 0, 0]), "within 10 diagonals"),
         (lambda d: d["parts"][0].update(diagonal_range_m=[0.1, float("inf")]), "diagonal_range_m"),
         (lambda d: d["parts"][0].update(extents_unit=[0.1, 0.1, float("inf")]), "extents_unit"),
@@ -81,6 +82,7 @@ def test_figures_survive_the_round_trip_and_are_of_known_parts(metadata: BundleM
         (lambda d: d["preprocessing"].update(image="BGR"), "preprocessing: expected what this runtime does"),
         (lambda d: d["figures"][0].pop("part"), "figures: expected the fields"),
         (lambda d: d["figures"][0].update(instances=-1), "instances: expected a count"),
+        (lambda d: d["figures"][0].update(data="\x1b[2J"), "data: expected printable text"),
         (lambda d: d["figures"][0]["rotation_deg"].update(mean="low"), "rotation_deg: expected a number"),
     ],
 )

@@ -11,8 +11,8 @@ import pytest
 import torch
 import trimesh
 import yourdfpy
-from trimesh.visual import ColorVisuals
 
+from own_models import BOLT, JOINT_FILE, URDF, beside
 from page_runtime.geometry import Array, apply, invert, rotation_about
 from page_runtime.symmetry import Symmetry
 from page_training.batches import make_batch
@@ -30,76 +30,6 @@ from page_training.records import SCENES_VERSION, open_shards, record_type, shar
 from page_training.scenes import sample_scene, training_view
 from page_training.scenes.kinds import scene_category
 from page_training.templates import part_templates
-
-URDF = """<robot name="crane">
-  <material name="orange"><color rgba="0.9 0.5 0.1 1"/></material>
-  <link name="foot"><visual><geometry><box size="0.3 0.2 0.1"/></geometry><material name="orange"/></visual></link>
-  <link name="mast"><visual><origin xyz="0 0 0.15"/><geometry><mesh filename="package://crane/meshes/mast.stl"/>
-    </geometry></visual></link>
-  <link name="lamp"><visual><geometry><sphere radius="0.03"/></geometry></visual></link>
-  <link name="boom"><visual><origin xyz="0.1 0 0" rpy="0 1.5707963 0"/><geometry><cylinder radius="0.02" length="0.2"/>
-    </geometry></visual></link>
-  <link name="slide"><visual><geometry><mesh filename="meshes/slide.obj" scale="0.001 0.001 0.001"/></geometry></visual>
-  </link>
-  <joint name="turn" type="continuous"><parent link="foot"/><child link="mast"/>
-    <origin xyz="0.02 0.01 0.05" rpy="0 0 0.4"/><axis xyz="0 0 1"/></joint>
-  <joint name="screw" type="fixed"><parent link="mast"/><child link="lamp"/><origin xyz="0 0.03 0.31"/></joint>
-  <joint name="lift" type="revolute"><parent link="mast"/><child link="boom"/>
-    <origin xyz="0 0 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 -1 0.2"/>
-    <limit lower="-0.2" upper="1.2" effort="1" velocity="1"/></joint>
-  <joint name="reach" type="prismatic"><parent link="boom"/><child link="slide"/>
-    <origin xyz="0.2 0 0" rpy="0 0 0.5"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
-</robot>"""
-JOINT_FILE = """unit = "mm"
-[[part]]
-name = "frame"
-mesh = "frame.stl"
-[[part]]
-name = "door"
-mesh = ["door.ply", "knob.glb"]
-[[joint]]
-name = "hinge"
-parent = "frame"
-child = "door"
-kind = "revolute"
-axis = [0, 0, 2]
-point = [-200, 0, 0]
-limits_deg = [0, 110]
-"""
-
-
-@pytest.fixture(scope="module")
-def crane(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A URDF of four moving parts and a lamp that is fixed to one. Read only."""
-    folder = tmp_path_factory.mktemp("crane")
-    (folder / "meshes").mkdir()
-    trimesh.creation.box((0.05, 0.04, 0.3)).export(folder / "meshes/mast.stl")
-    trimesh.creation.uv_sphere(radius=25.0, count=[120, 120]).export(folder / "meshes/slide.obj")
-    (folder / "crane.urdf").write_text(URDF)
-    return folder / "crane.urdf"
-
-
-@pytest.fixture(scope="module")
-def cupboard(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A joint file with meshes in millimetres. Read only."""
-    folder = tmp_path_factory.mktemp("cupboard")
-    boxes = {"frame.stl": ((400, 300, 500), (0, 150, 250)), "door.ply": ((396, 20, 490), (0, -10, 250))}
-    for name, (size, middle) in boxes.items():
-        box = trimesh.creation.box(size)
-        box.apply_translation(middle)
-        box.export(folder / name)
-    knob = trimesh.creation.icosphere(radius=15)
-    knob.apply_translation((150, -30, 250))
-    knob.visual = ColorVisuals(knob, face_colors=(255, 0, 0, 255))
-    knob.export(folder / "knob.glb")
-    (folder / "cupboard.toml").write_text(JOINT_FILE)
-    return folder / "cupboard.toml"
-
-
-@pytest.fixture(scope="module")
-def crane_model(crane: Path) -> OwnModel:
-    return read_urdf(crane)
 
 
 @pytest.fixture
@@ -187,28 +117,6 @@ def test_a_joint_file_says_what_it_means(cupboard: Path) -> None:
     np.testing.assert_allclose(opened[:3, 3], hinge + turn @ (closed[:3, 3] - hinge), atol=1e-6)
 
 
-BOLT = """[[part]]
-name = "bolt"
-mesh = "knob.glb"
-[[joint]]
-name = "slide"
-parent = "door"
-child = "bolt"
-kind = "prismatic"
-axis = [1, 0, 0]
-limits_m = [0, 0.05]
-"""
-
-
-def beside(files: Path, folder: Path, text: str) -> Path:
-    """The joint file of this text in a folder, with the cupboard's meshes."""
-    for name in ("frame.stl", "door.ply", "knob.glb"):
-        (folder / name).write_bytes((files.parent / name).read_bytes())
-    path = folder / "cupboard.toml"
-    path.write_text(text)
-    return path
-
-
 def test_a_joint_of_a_joint_file_taken_for_fixed_joins_its_parts(cupboard: Path, tmp_path: Path) -> None:
     path = beside(cupboard, tmp_path, JOINT_FILE + BOLT)
     apart, joined = read_joint_file(path), read_joint_file(path, ["slide"])
@@ -220,24 +128,6 @@ def test_a_joint_of_a_joint_file_taken_for_fixed_joins_its_parts(cupboard: Path,
     carried = read_joint_file(path, ["hinge"])
     assert [part.name for part in carried.parts] == ["frame", "bolt"]
     assert [(joint.name, joint.parent, joint.child) for joint in carried.joints] == [("slide", 0, 1)]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "fixed", "word"),
-    [
-        ("", "", ["lid"], "expected joints of hinge, slide, got lid"),
-        ('name = "slide"', 'name = "hinge"', [], "got hinge more than once"),
-        ('child = "bolt"', 'child = "door"', ["slide"], "part 'door': .*got hinge, slide"),
-        ('parent = "door"', 'parent = "bolt"', ["slide"], "a ring through bolt"),
-        ('child = "bolt"', 'child = "frame"', ["slide"], "part 'frame': expected no joint"),
-    ],
-)
-def test_joints_that_cannot_be_told_or_fixed_are_refused(
-    old: str, new: str, fixed: list[str], word: str, cupboard: Path, tmp_path: Path
-) -> None:
-    path = beside(cupboard, tmp_path, JOINT_FILE + BOLT.replace(old, new, 1))
-    with pytest.raises(ValueError, match=word):
-        read_joint_file(path, fixed)
 
 
 @pytest.mark.usefixtures("own_crane")
@@ -378,137 +268,6 @@ def test_a_urdf_of_no_likely_size_is_asked_for_its_unit(
     told = capsys.readouterr().out
     assert ("is the unit right?" in told) == (asked is not None)
     assert asked is None or asked in told
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["box", "{crane}"], "built-in"),
-        (["my-crane", "{crane}"], "letters, digits and underscores"),
-        (["c", "{crane}", "--fix", "elbow"], "got elbow"),
-        (["c", "nothing.urdf"], "got nothing there"),
-        (["c", "{folder}/meshes/mast.stl"], "expected a .urdf file, or a .toml"),
-        (["c", "{crane}", "--symmetric", "boom", "w", "2"], "expected x, y or z"),
-        (["c", "{crane}", "--symmetric", "jib", "x", "2"], "expected parts of foot"),
-        (["c", "{crane}", "--rest", "sideways"], "stand, any"),
-        (["c", "{crane}", "--scale-sigma", "2"], "0 to 0.2"),
-        (["c", "{crane}", "--fix", "turn", "lift", "reach"], "one rigid object"),
-    ],
-)
-def test_what_cannot_be_made_is_refused_in_a_sentence(
-    arguments: list[str], word: str, crane: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    given = [argument.format(crane=crane, folder=crane.parent) for argument in arguments]
-    assert main(["from-urdf", *given]) == 2
-    assert word in capsys.readouterr().err
-    assert not (tmp_path / "export").exists()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ('type="continuous"', 'type="floating"', "--fix turn takes it for fixed"),
-        ("meshes/slide.obj", "meshes/gone.obj", "expected the mesh meshes/gone.obj"),
-        (
-            '<geometry><cylinder radius="0.02" length="0.2"/>\n    </geometry>',
-            "",
-            "'boom': <visual>: .*got none",
-        ),
-        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint 'turn': axis: expected a direction"),
-        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0"/>', "joint 'turn': axis xyz: expected three numbers, got '0 0'"),
-        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 ${up}"/>', "joint 'turn', <axis xyz>: .*of xacro; expand"),
-        ('<link name="foot">', '<xacro:leg/><link name="foot">', "<xacro:leg> of xacro; expand"),
-        ('<child link="boom"/>', '<child link="jib"/>', "joint 'lift': child: expected one of the links .*, got jib"),
-        ('<child link="boom"/>', "", "joint 'lift': child: .*got none"),
-        (
-            '<child link="lamp"/>',
-            '<child link="boom"/>',
-            "'boom': expected one parent, got mast .joint screw. and",
-        ),
-        ('<link name="foot">', '<link name="hook"/><link name="foot">', "that no joint carries, got hook, foot"),
-        ('<parent link="foot"/>', '<parent link="slide"/>', "a ring through mast"),
-        ('<link name="lamp">', '<link name="foot">', "got foot more than once"),
-        ('<sphere radius="0.03"/>', '<capsule radius="0.03"/>', "link 'lamp': <visual>: .*got <capsule>"),
-        ('mesh filename="package://crane/meshes/mast.stl"', "mesh", "link 'mast': <visual>: <mesh>: expected filename"),
-        ("</robot>", "", "crane.urdf: expected XML, got no element found: line"),
-        ('<robot name="crane">', "<robot>", "expected <robot name"),
-        ('lower="0" upper="0.1"', 'lower="0.1" upper="0.1"', "low < high"),
-        ('joint name="reach"', 'joint name="lift"', "got lift more than once"),
-    ],
-)
-def test_a_urdf_that_cannot_be_used_says_why(old: str, new: str, word: str, crane: Path, tmp_path: Path) -> None:
-    assert old in URDF
-    (tmp_path / "meshes").mkdir()
-    for name in ("mast.stl", "slide.obj"):
-        (tmp_path / "meshes" / name).write_bytes((crane.parent / "meshes" / name).read_bytes())
-    path = tmp_path / "crane.urdf"
-    path.write_text(URDF.replace(old, new))
-    with pytest.raises(ValueError, match=word):
-        read_urdf(path)
-
-
-@pytest.mark.parametrize("alone", [True, False])
-@pytest.mark.parametrize(
-    ("name", "content", "word"),
-    [
-        ("mast.stl", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
-        ("mast.dae", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "got a Git-LFS pointer"),
-        ("mast.stl", bytes(range(256)), "expected triangles, got none"),
-        ("mast.stl", None, "got nothing there"),
-        ("mast.obj", b"", "expected triangles, got none"),
-        ("mast.glb", b"no such thing", "a mesh that trimesh can load"),
-    ],
-)
-def test_every_mesh_of_a_urdf_is_read_or_named(
-    name: str, content: bytes | None, word: str, alone: bool, crane: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "meshes").mkdir()
-    for mesh in ("mast.stl", "slide.obj"):
-        (tmp_path / "meshes" / mesh).write_bytes((crane.parent / "meshes" / mesh).read_bytes())
-    sound = '<visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual>'
-    text = URDF.replace("mast.stl", name)
-    (tmp_path / "crane.urdf").write_text(
-        text if alone else text.replace('<link name="mast">', f'<link name="mast">{sound}')
-    )
-    (tmp_path / "meshes/mast.stl").unlink()
-    if content is not None:
-        (tmp_path / "meshes" / name).write_bytes(content)
-    with pytest.raises(ValueError, match=word) as refused:
-        read_urdf(tmp_path / "crane.urdf")
-    assert f"meshes/{name}" in str(refused.value)
-    assert "--fix" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ('unit = "mm"', 'unit = "furlong"', "expected one of m, cm, mm, in"),
-        ('kind = "revolute"', 'kind = "screw"', "expected revolute or prismatic"),
-        ('parent = "frame"', 'parent = "wall"', "expected one of frame, door"),
-        ("axis = [0, 0, 2]", "axis = [0, 0]", "expected 3 numbers"),
-        ("axis = [0, 0, 2]", "axis = [0, 0, 0]", "expected a direction"),
-        ("limits_deg = [0, 110]", "limits_deg = [110, 0]", "low < high"),
-        ("limits_deg = [0, 110]", "limits_m = [0, 1]", "missing"),
-        ('mesh = "frame.stl"', 'mesh = "gone.stl"', "got nothing there"),
-        ('mesh = "frame.stl"', "mesh = 5", "part 'frame': mesh: expected a file's name or a list of them, got 5"),
-        ('mesh = "frame.stl"', "mesh = []", r"got \[\]"),
-        ('name = "door"', 'name = "frame"', "different names"),
-        ("[[joint]]", "[joint]", r"\[\[joint\]\]"),
-        ('unit = "mm"', 'unit = mm"', "expected TOML"),
-    ],
-)
-def test_a_joint_file_that_cannot_be_used_says_why(
-    old: str, new: str, word: str, cupboard: Path, tmp_path: Path
-) -> None:
-    assert old in JOINT_FILE
-    for name in ("frame.stl", "door.ply", "knob.glb"):
-        (tmp_path / name).write_bytes((cupboard.parent / name).read_bytes())
-    path = tmp_path / "cupboard.toml"
-    path.write_text(JOINT_FILE.replace(old, new, 1))
-    with pytest.raises(ValueError, match=word):
-        read_joint_file(path)
 
 
 def test_a_category_made_again_does_not_use_the_frames_of_the_one_before(

@@ -6,6 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from page_runtime.providers import NetworkError, ProviderError
+
 # Bounds of `parity`, which is not imported before it is needed; a test holds them together.
 _PARITY = """The two are the same network where every output agrees to 1e-4 (above 1: of its value), or to twice what
 rounding to float32 does to the checkpoint itself, every pose to 0.02 deg and 0.1 mm, and both give poses for the same
@@ -116,8 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ImportError as error:
         print(f"page-export: {error}; export needs the extra: pip install 'page-edge[export]'", file=sys.stderr)
         return 2
-    # RuntimeError: a NetworkError, of a bundle that loads and fails when it runs.
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ValueError, OSError, NetworkError, ProviderError) as error:
         print(f"page-export: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -194,11 +195,11 @@ def _scorer(options: argparse.Namespace) -> int:
 def _card(options: argparse.Namespace) -> int:
     from page_export.bundle_writer import write_file
     from page_export.card import card, read_figures
+    from page_runtime.bundle_file import read_metadata
     from page_runtime.commands.outputs import require_file_place
-    from page_runtime.network import Network
 
     require_file_place(options.output, option="--output")
-    metadata = Network(options.bundle, threads=1).metadata
+    metadata = read_metadata(options.bundle)
     figures = [read_figures(label, Path(file), metadata.category.name) for label, file in options.figures]
     text = card(options.bundle.name, metadata, options.bundle.stat().st_size, figures)
     write_file(text.encode(), options.output)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-# Of a singular value s in each round: a s + b s^3 + c s^5. Ends between 0.7 and 1.2, from wherever above 0 it began.
+# Of a singular value s in each round: a s + b s^3 + c s^5. Ends between 0.68 and 1.16 where it began above 0.002.
 _POLYNOMIAL = (3.4445, -4.7750, 2.0315)
 _ROUNDS = 5
 _MOMENTUM = 0.95

@@ -47,8 +47,8 @@ def figures_from(entry: Any) -> PartFigures:
         got = sorted(entry) if isinstance(entry, dict) else type(entry).__name__
         raise ValueError(f"figures: expected the fields {sorted(_FIELDS)}, got {got}")
     for name in ("data", "part"):
-        if not isinstance(entry[name], str):
-            raise ValueError(f"figures, {name}: expected text, got {entry[name]!r}")
+        if not isinstance(entry[name], str) or not entry[name].isprintable():
+            raise ValueError(f"figures, {name}: expected printable text, got {entry[name]!r}")
     if not isinstance(entry["instances"], int) or isinstance(entry["instances"], bool) or entry["instances"] < 0:
         raise ValueError(f"figures, instances: expected a count, got {entry['instances']!r}")
     return PartFigures(

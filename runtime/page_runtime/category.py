@@ -14,7 +14,7 @@ from page_runtime.template import Template
 JointKind = Literal["free", "revolute", "prismatic"]
 # Of keypoints, in diagonals: farther ones say nothing of a turn that their distance does not drown.
 MOST_UNIT = 10.0
-# Least spread of keypoints about their middle, in diagonals: of less no rotation follows.
+# Least distance of any keypoint from the line that fits them best, in diagonals: points on a line leave a turn open.
 LEAST_SPREAD = 0.01
 # Of objects this runtime is for: a warehouse is none.
 MOST_M = 100.0
@@ -45,11 +45,12 @@ class Part:
             raise ValueError(
                 f"Part {self.name!r}.keypoints_unit: expected finite (n>=3, 3), got shape {keypoints.shape}"
             )
-        spread = float(np.abs(keypoints - keypoints.mean(axis=0)).max())
+        *_, line = np.linalg.svd(keypoints - keypoints.mean(axis=0), full_matrices=False)
+        spread = float(np.linalg.norm((keypoints - keypoints.mean(axis=0)) @ line[1:].T, axis=1).max())
         if np.abs(keypoints).max() > MOST_UNIT or spread < LEAST_SPREAD:
             raise ValueError(
-                f"Part {self.name!r}.keypoints_unit: expected keypoints within {MOST_UNIT:g} diagonals and at least "
-                f"{LEAST_SPREAD:g} apart, got up to {np.abs(keypoints).max():.3g} and {spread:.3g}"
+                f"Part {self.name!r}.keypoints_unit: expected keypoints within {MOST_UNIT:g} diagonals and up to "
+                f"{LEAST_SPREAD:g} or more off one line, got {np.abs(keypoints).max():.3g} and {spread:.3g}"
             )
         _require_printable(self.name, "a part's name")
         _require_printable(self.frame, f"Part {self.name!r}.frame")

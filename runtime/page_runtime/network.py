@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.bundle_file import read_bundle
-from page_runtime.neighbours import (
-    Neighbours,
-    find_neighbours,
-)
+from page_runtime.neighbours import Neighbours, find_neighbours
 from page_runtime.providers import (
     CPU_PROVIDER,
     ON_CPU,

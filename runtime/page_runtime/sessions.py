@@ -26,10 +26,9 @@ def session_options(threads: int) -> ort.SessionOptions:
     """How every session here runs: so many threads, which wait by spinning for 50 us and sleep then.
 
     ValueError for more threads than `machine.most_threads`. A worker that sleeps at once is woken for every operator:
-    two threads were no faster than one, 11.6 and
-    11.0 ms.
-    One that spins for as long as onnxruntime's default does takes a core from the scorer, which runs between two
-    passes. numpy's own threads and OpenCV's are set by the command (`cli._prepare`, `commands.inputs`).
+    two threads were no faster than one, 11.6 and 11.0 ms. One that spins for as long as onnxruntime's default does
+    takes a core from the scorer, which runs between two passes. numpy's own threads and OpenCV's are set by the command
+    (`cli._prepare`, `commands.inputs`).
     """
     check_threads(threads)
     options = ort.SessionOptions()
