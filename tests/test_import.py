@@ -30,7 +30,7 @@ from page_training.datasets.samples import (
     require_category,
 )
 from page_training.network import network_for
-from page_training.records import open_shards
+from page_training.records import open_shards, shard_path
 from page_training.train import train
 
 BOX = category_named("box")
@@ -178,7 +178,7 @@ def test_training_draws_from_both_caches_by_their_share(imported: Path, tmp_path
         for first in (0, 1):
             cache = tmp_path / f"cache{first}"
             if not cache.exists():
-                target = cache / "box-v3" / "train-0000.npy"
+                target = shard_path(cache, "box", "train", 0)
                 target.parent.mkdir(parents=True)
                 (records,) = open_shards(imported, "box", "train")
                 np.save(target, np.array(records[first : first + 1]))

@@ -26,7 +26,7 @@ from page_training.own.joint_file import read_joint_file
 from page_training.own.model import OwnModel
 from page_training.own.surfaces import MOST_TRIANGLES
 from page_training.own.urdf import read_urdf
-from page_training.records import SCENES_VERSION, open_shards, record_type, shard_path
+from page_training.records import open_shards, record_type, scenes_version, shard_path
 from page_training.scenes import sample_scene, training_view
 from page_training.scenes.kinds import scene_category
 from page_training.templates import part_templates
@@ -286,7 +286,7 @@ def test_a_category_made_again_does_not_use_the_frames_of_the_one_before(
     told = capsys.readouterr().err
     assert f"{before.parent.name}: of another make of it" in told
     assert "page-train scenes" in told
-    assert shard_path(tmp_path, "box", "train", 0).parent.name == f"box-v{SCENES_VERSION}"
+    assert shard_path(tmp_path, "box", "train", 0).parent.name == f"box-v{scenes_version('box')}"
 
 
 @pytest.mark.usefixtures("own_crane")

@@ -1,9 +1,9 @@
 """Making training samples: scenes rendered, sampled as the runtime samples, written to shards.
 
 Making a frame costs about as much as learning from it once, so frames are made ahead and used a few times. A shard
-depends on (SCENES_VERSION, category, split, shard number) alone, for a category of the user's own on its files as well:
-any process may make any of them, in any order, and an interrupted run goes on with the shards that are missing. The
-bound on disk is the number of shards asked for.
+depends on (the scenes' version, category, split, shard number) alone, for a category of the user's own on its files as
+well: any process may make any of them, in any order, and an interrupted run goes on with the shards that are missing.
+The bound on disk is the number of shards asked for.
 """
 
 from __future__ import annotations

@@ -16,6 +16,8 @@ from page_training.categories import BUILT_IN, own_folder
 
 # Raise it with every change to scenes, sensor or sampling: frames of different versions must not mix.
 SCENES_VERSION = 3
+# Of categories whose own scenes changed since.
+CATEGORY_VERSIONS = {"box": 4}
 NEIGHBOUR_TABLES = ("group1", "group2", "group3", "up1", "up2", "up3")
 IMAGE_SIZE = 224
 SHARD_SIZE = 256
@@ -42,9 +44,14 @@ def record_type(num_parts: int) -> np.dtype[Any]:
     ])  # fmt: skip
 
 
+def scenes_version(category: str) -> int:
+    """Of the frames that `page-train scenes` makes of this category now."""
+    return CATEGORY_VERSIONS.get(category, SCENES_VERSION)
+
+
 def shard_path(root: Path, category: str, split: str, shard: int) -> Path:
     """Where a shard lives under the cache folder; a category of the user's own, made again, has another place."""
-    return root / f"{category}-v{SCENES_VERSION}{_mark(category)}" / f"{split}-{shard:04d}.npy"
+    return root / f"{category}-v{scenes_version(category)}{_mark(category)}" / f"{split}-{shard:04d}.npy"
 
 
 def other_frames(root: Path, category: str) -> list[Path]:

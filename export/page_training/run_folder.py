@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from page_runtime.machine import versions
 from page_training.config import TrainingConfig
-from page_training.records import SCENES_VERSION
+from page_training.records import scenes_version
 
 _PACKAGES = ("page-edge", "torch", "numpy", "opencv-python-headless")
 _FREE = {"samples", "threads", "validate_every", "save_every", "patience"}
@@ -30,7 +30,7 @@ def begin(run: Path, config: TrainingConfig) -> None:
     """Write what the run is made of."""
     run.mkdir(parents=True, exist_ok=True)
     _write(run / "config.json", asdict(config))
-    _write(run / "environment.json", _environment())
+    _write(run / "environment.json", _environment(config.category))
 
 
 def require_same_run(run: Path, begun: dict[str, Any], config: TrainingConfig) -> None:
@@ -64,7 +64,7 @@ def validation_totals(run: Path, step: int) -> list[float]:
     return [found[at] for at in sorted(found)]
 
 
-def _environment() -> dict[str, Any]:
+def _environment(category: str) -> dict[str, Any]:
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True, timeout=10
@@ -74,7 +74,7 @@ def _environment() -> dict[str, Any]:
     return {
         "command": sys.argv[1:],
         "commit": described,
-        "scenes_version": SCENES_VERSION,
+        "scenes_version": scenes_version(category),
         "versions": versions(_PACKAGES),
         "machine": platform.machine(),
     }

@@ -10,6 +10,7 @@ import numpy as np
 from page_runtime.geometry import rotation_about, transform_from
 from page_training.categories import CATEGORIES
 from page_training.scenes.articulated import ArticulatedObject, States, articulated_object
+from page_training.scenes.box_closing import LidFront, fastening, hinge
 from page_training.scenes.materials import Color, Material, plain, printed, random_color, scanned, vary
 from page_training.scenes.meshes import (
     Mesh,
@@ -182,8 +183,10 @@ def _lid_outline(rng: Generator, width: float, depth: float, radius: float) -> P
     return loop
 
 
-def _lid(rng: Generator, body: _Body, color: Color, rough: Callable[[Points], Points]) -> tuple[list[Mesh], float]:
-    """Meshes of the closed lid and the height of the hinge."""
+def _lid(
+    rng: Generator, body: _Body, color: Color, rough: Callable[[Points], Points]
+) -> tuple[list[Mesh], LidFront, float]:
+    """Meshes of the closed lid, its front edge and the height of the hinge."""
     flat = rng.random() < 0.5
     width, depth, x = body.width, body.depth, 0.0
     if flat and rng.random() < 0.25:
@@ -192,7 +195,7 @@ def _lid(rng: Generator, body: _Body, color: Color, rough: Callable[[Points], Po
     grow = float(rng.uniform(-0.003, 0.004))
     width, depth = width + 2 * grow, depth * (float(rng.uniform(0.88, 1.02)) if flat else 1.0) + grow
     # A tray-like lid stays thinner than the base, or nobody could tell them apart when open flat.
-    deepest = min(0.027, 0.75 * body.height)
+    deepest = min(0.027, 0.65 * body.height)
     thick = float(rng.uniform(0.0015, 0.009) if flat else rng.uniform(0.5 * min(deepest, 0.014), deepest))
     rest = body.height + float(rng.uniform(0.0, 0.001))
     if flat and rng.random() < 0.3:
@@ -226,18 +229,8 @@ def _lid(rng: Generator, body: _Body, color: Color, rough: Callable[[Points], Po
         )
     y = (body.depth - depth) / 2 + float(rng.uniform(-0.002, 0.003))
     meshes = [shifted(panel, x, y, 0.0)]
-    front = y - depth / 2
-    if rng.random() < 0.55:  # clasp or magnet on the front edge, seen from the inside as well
-        clasp = plain(rng, random_color(rng))
-        size = (rng.uniform(0.012, 0.05), rng.uniform(0.003, 0.012), thick + rng.uniform(0.0005, 0.003))
-        off = x + width * float(rng.choice([0.0, 0.0, 0.25, -0.25]))
-        meshes.append(
-            shifted(cuboid(size, clasp, bevel=0.0004), off, front + size[1] * rng.uniform(0.0, 0.7), rest - 0.0006)
-        )
-        if rng.random() < 0.4:
-            tongue = cuboid((size[0] * 0.8, 0.0015, 0.5 * body.height), clasp)
-            meshes.append(shifted(tongue, off, front - 0.001, rest - 0.4 * body.height))
-    return meshes, rest + thick * float(rng.uniform(0.0, 0.7))
+    front = LidFront(x, y - depth / 2, width, rest, thick)
+    return meshes, front, rest + thick * float(rng.uniform(0.0, 0.7))
 
 
 def sample_object(rng: Generator) -> ArticulatedObject:
@@ -251,21 +244,11 @@ def sample_object(rng: Generator) -> ArticulatedObject:
         return roughened(rng, loop, ragged) if looks_scanned else loop
 
     base, loose = _base(rng, body, base_color, rough)
-    lid, hinge_z = _lid(rng, body, lid_color, rough)
-    hinge_y = body.depth / 2 + float(rng.uniform(-0.004, 0.002))
-    if rng.random() < 0.5:  # hinge knuckles
-        metal = plain(rng, random_color(rng))
-        turn = rotation_about(np.array([0.0, 1.0, 0.0]), np.pi / 2)
-        for _ in range(int(rng.integers(1, 4))):
-            length, radius = rng.uniform(0.01, 0.3 * body.width), rng.uniform(0.001, 0.003)
-            knuckle = revolved([(radius, -length / 2), (radius, length / 2)], metal, 10)
-            place = np.array([(body.width - length) * rng.uniform(-0.5, 0.5), hinge_y, hinge_z])
-            (base if rng.random() < 0.6 else lid).append(moved(knuckle, transform_from(turn, place)))
-    if rng.random() < 0.5:  # the clasp's other half on the base
-        size = (rng.uniform(0.01, 0.05), rng.uniform(0.001, 0.004), body.height * rng.uniform(0.2, 0.8))
-        clasp = plain(rng, random_color(rng))
-        z = (body.height - size[2]) * float(rng.uniform(0.3, 1.0))
-        base.append(shifted(cuboid(size, clasp, bevel=0.0004), 0.0, -body.depth / 2 - size[1] / 2, z))
+    lid, front, hinge_z = _lid(rng, body, lid_color, rough)
+    hinge_y = body.depth / 2 + float(rng.uniform(-0.0015, 0.003))
+    behind = hinge(rng, 0.96 * body.width, body.depth / 2, (hinge_y, hinge_z), base_color)
+    before = fastening(rng, lid_color, (-body.depth / 2, body.height), front)
+    base, lid = base + behind[0] + before[0], lid + behind[1] + before[1]
     if looks_scanned:
         base, lid = _all_scanned(rng, base), _all_scanned(rng, lid)
     things = [(0, joined(loose))] if loose else []
