@@ -162,7 +162,9 @@ def test_perfect_answers_about_the_mirror_image_give_the_same(category: Category
 
 
 def test_templates_of_every_part_fit_perfect_poses(category: Category, frames: list[Seen]) -> None:
-    templates = part_templates(category.name, np.random.default_rng(0), instances=8, points=256)
+    templates = part_templates(
+        scene_category(category.name).sample_object, np.random.default_rng(0), instances=8, points=256
+    )
     parts = tuple(replace(part, template=one) for part, one in zip(category.parts, templates, strict=True))
     fitted = replace(category, parts=parts)
     for part, template in zip(category.parts, templates, strict=True):

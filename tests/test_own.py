@@ -20,7 +20,7 @@ from page_training.cache import make_shard, write_shard
 from page_training.categories import category_named, known_categories, own_folder
 from page_training.cli import main
 from page_training.config import Augmentation
-from page_training.own.category import OwnCategory, own_category
+from page_training.own.category import OwnCategory, T_part_link, own_category
 from page_training.own.files import read_own, write_own
 from page_training.own.joint_file import read_joint_file
 from page_training.own.model import OwnModel
@@ -48,15 +48,15 @@ def test_links_are_where_the_urdf_s_own_kinematics_have_them(crane: Path, crane_
     model = own.sample_object(rng)
     names = [part.name for part in own.category.parts]
     assert names == ["foot", "mast", "boom", "slide"]
-    assert set(own.T_part_link["mast"]) == {"mast", "lamp"}
+    assert set(T_part_link(crane_model)["mast"]) == {"mast", "lamp"}
     for _ in range(5):
         states = tuple(float(rng.uniform(*joint.limits)) for joint in model.joints)
         robot.update_cfg(dict(zip((joint.name for joint in own.category.joints), states, strict=True)))
         poses = model.poses(np.eye(4), states)
         T_foot_links = {
-            link: invert(poses[0] @ own.T_part_link["foot"]["foot"]) @ pose @ T
+            link: invert(poses[0] @ T_part_link(crane_model)["foot"]["foot"]) @ pose @ T
             for name, pose in zip(names, poses, strict=True)
-            for link, T in own.T_part_link[name].items()
+            for link, T in T_part_link(crane_model)[name].items()
         }
         for link, T in T_foot_links.items():
             np.testing.assert_allclose(T, robot.get_transform(link, "foot"), atol=1e-6)
@@ -160,7 +160,7 @@ def test_an_own_category_is_used_as_any_other(tmp_path: Path) -> None:
     )
     # A mirror would show another crane.
     np.testing.assert_allclose(batch.truth.R.numpy(), records["T_center_part"][..., :3, :3], atol=1e-6)
-    templates = part_templates("crane", rng, instances=3, points=64)
+    templates = part_templates(scene_category("crane").sample_object, rng, instances=3, points=64)
     assert [len(template.points_unit) for template in templates] == [64] * 4
 
 
@@ -173,7 +173,8 @@ def test_a_category_read_back_makes_the_same_scenes(own_crane: OwnCategory) -> N
     for a, b in zip(one.joints, other.joints, strict=True):
         np.testing.assert_array_equal(a.pivot_child, b.pivot_child)
         assert a.joint.axis == b.joint.axis
-    np.testing.assert_allclose(again.T_part_link["mast"]["lamp"], own_crane.T_part_link["mast"]["lamp"])
+    ours, theirs = (T_part_link(own.models[0])["mast"]["lamp"] for own in (own_crane, again))
+    np.testing.assert_allclose(ours, theirs)
 
 
 @pytest.mark.usefixtures("own_crane")
@@ -217,7 +218,7 @@ def test_several_models_make_one_category_and_must_be_alike(
     rng = np.random.default_rng(0)
     widths = {round(float(own.sample_object(rng).parts[0].extents_m[0]), 3) for _ in range(20)}
     assert widths == {0.3, 0.5}
-    with pytest.raises(ValueError, match=r"cupboard.toml: expected the parts of crane.urdf"):
+    with pytest.raises(ValueError, match=r"cupboard.toml: expected the parts of .*crane.urdf"):
         own_category("mixed", [crane_model, read_joint_file(cupboard)])
 
 
@@ -292,6 +293,6 @@ def test_a_category_made_again_does_not_use_the_frames_of_the_one_before(
 @pytest.mark.usefixtures("own_crane")
 def test_a_folder_that_holds_something_else_is_refused() -> None:
     path = own_folder("crane") / "category.json"
-    path.write_text(path.read_text().replace('"version": 1', '"version": 9', 1))
-    with pytest.raises(ValueError, match="expected version 1, got 9; make it again"):
+    path.write_text(path.read_text().replace('"version": 2', '"version": 9', 1))
+    with pytest.raises(ValueError, match="expected version 2, got 9; make it again"):
         read_own(own_folder("crane"))

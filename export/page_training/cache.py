@@ -74,7 +74,7 @@ def make_shard(category: Category, split: str, shard: int, path: Path, size: int
     records = np.zeros(size, record_type(len(category.parts)))
     filled = 0
     while filled < size:
-        view = training_view(sample_scene(category.name, rng), rng, IMAGE_SIZE)
+        view = training_view(sample_scene(category.name, rng, split), rng, IMAGE_SIZE)
         sample = sample_region(
             view.frame,
             (0, 0, IMAGE_SIZE, IMAGE_SIZE),

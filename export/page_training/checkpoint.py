@@ -18,7 +18,7 @@ from torch import nn
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
-from page_training.categories import category_named, known_categories
+from page_training.categories import BUILT_IN, CATEGORIES
 from page_training.network import PageNetwork
 
 # Weights whose shape follows the number of parts.
@@ -75,14 +75,13 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
 
 
 def trained_category(state: dict[str, Any]) -> Category:
-    """The category a loaded checkpoint was trained for, with the joints this release gives it and no templates.
-
-    One of the user's own that is not there any more keeps the joints it was trained with.
-    """
+    """The category a loaded checkpoint was trained for: a built-in one with the joints this release gives it and no
+    templates, one of the user's own with those it had then, whatever is of that name where this runs."""
+    document = json.loads(state["category"])
+    if document["category"] not in BUILT_IN:
+        return category_from(document)
     category = category_from(_trained_for(state))
-    if category.name in known_categories():
-        return replace(category, joints=category_named(category.name).joints)
-    return replace(category, joints=category_from(json.loads(state["category"])).joints)
+    return replace(category, joints=CATEGORIES[category.name].joints)
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:

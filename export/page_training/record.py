@@ -63,7 +63,7 @@ def record_split(
     rng = np.random.default_rng([zlib.crc32(category_name.encode()), SPLITS.index(split), 2**31 + seed])
     with RecordingWriter(path, category=category_name, part_names=names, color_suffix=color_suffix) as writer:
         for index in range(frames):
-            view = full_view(sample_scene(category_name, rng), rng, width)
+            view = full_view(sample_scene(category_name, rng, split), rng, width)
             recorded = recorded_frame(view, category, rng)
             timed = replace(recorded.frame, timestamp_s=index * FRAME_PERIOD_S, index=index)
             masks = [[view.part_mask == k + 1 for k in range(len(names))]]

@@ -8,6 +8,7 @@ of trays with different floors has no floor anywhere.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,37 +18,46 @@ from page_runtime.category import Category
 from page_runtime.geometry import Array
 from page_runtime.similarity import FloatArray
 from page_runtime.template import Template
-from page_training.scenes.articulated import PartModel
+from page_training.scenes.articulated import ArticulatedObject, PartModel
 from page_training.scenes.kinds import scene_category
 from page_training.scenes.meshes import Mesh
 from page_training.scenes.textures import Generator
 
 TEMPLATE_POINTS = 512
+# Of all parts together: of seven they would be a tenth of a bundle's bytes.
+MOST_POINTS = 2048
 INSTANCES = 48
 _CANDIDATES_A_POINT = 6
 # Samples come farthest first, so that the first few are spread evenly as well.
 _COMPARED = 128
 
+ObjectOf = Callable[[Generator], ArticulatedObject]
 
-def with_templates(category: Category) -> Category:
-    """The category with a template for each part, the same at every call."""
-    templates = part_templates(category.name, np.random.default_rng(zlib.crc32(category.name.encode())))
+
+def with_templates(category: Category, sample_object: ObjectOf | None = None) -> Category:
+    """The category with a template for each part, the same at every call; as it is where its parts have theirs, which
+    those of a category of the user's own do. sample_object: of the category, None for that of its scenes."""
+    if all(part.template is not None for part in category.parts):
+        return category
+    templates = part_templates(
+        sample_object or scene_category(category.name).sample_object,
+        np.random.default_rng(zlib.crc32(category.name.encode())),
+        points=min(TEMPLATE_POINTS, MOST_POINTS // len(category.parts)),
+    )
     parts = (replace(part, template=template) for part, template in zip(category.parts, templates, strict=True))
     return replace(category, parts=tuple(parts))
 
 
 def part_templates(
-    category: str, rng: Generator, *, instances: int = INSTANCES, points: int = TEMPLATE_POINTS
+    sample_object: ObjectOf, rng: Generator, *, instances: int = INSTANCES, points: int = TEMPLATE_POINTS
 ) -> tuple[Template, ...]:
-    """One template for each part of `category`, in the order of its parts, of `points` samples each.
+    """One template for each part of a category's objects, in the order of its parts, of `points` samples each.
 
-    instances: procedural objects it is chosen from; their number squared is compared. Raises ValueError for a category
-    there are no scenes of.
+    instances: objects it is chosen from; their number squared is compared.
     """
-    kind = scene_category(category)
     if instances < 1 or points < 4:
         raise ValueError(f"expected at least 1 instance and 4 points, got {instances} and {points}; ask for more")
-    objects = [kind.sample_object(rng) for _ in range(instances)]
+    objects = [sample_object(rng) for _ in range(instances)]
     return tuple(
         central_template([template_of(item.parts[k], rng, points) for item in objects])
         for k in range(len(objects[0].parts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -12,7 +12,8 @@ from page_runtime.category import Category, Joint, Part
 from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.symmetry import Symmetry
 from page_training.keypoints import NUM_VOTED, off_surface_keypoints
-from page_training.own.model import OwnModel, Surface
+from page_training.own.model import OwnModel, Surface, require_different
+from page_training.records import SPLITS
 from page_training.scenes.articulated import ArticulatedObject, JointModel, PartModel, States, seen_from
 from page_training.scenes.fittings import finish
 from page_training.scenes.materials import Material, plain, random_color, scanned, vary
@@ -20,6 +21,7 @@ from page_training.scenes.meshes import Mesh
 from page_training.scenes.resting import Rest, held_rest, upright_rest
 from page_training.scenes.statistics import joint_geometry, part_statistics
 from page_training.scenes.textures import Generator
+from page_training.templates import with_templates
 
 Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
@@ -34,27 +36,22 @@ _FRAME = "origin: centre of the part's box, all joints at 0; axes: those of the 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OwnCategory:
-    """category: for the runtime. models: its objects. rest: "stand" for what stands on its root's -z side, "any" for
-    what lies about or is held. scale_sigma: by which sizes vary. T_part_link: of each part, (4,4) of every link of
-    the file that belongs to it, so that T_camera_link = T_camera_part @ T_part_link; of the first model.
+    """category: for the runtime. models: its objects, those to learn from first. rest: "stand" for what stands on its
+    root's -z side, "any" for what lies about or is held. scale_sigma: by which sizes vary. splits: of each model, where
+    it is used.
     """
 
     category: Category
     models: tuple[OwnModel, ...]
     rest: Resting
     scale_sigma: float
+    splits: tuple[str, ...]
 
-    @property
-    def T_part_link(self) -> dict[str, dict[str, Array]]:
-        model = self.models[0]
-        return {
-            part.name: {link: transform_from(np.eye(3), -_origin(part.surface)) @ T for link, T in part.links.items()}
-            for part in model.parts
-        }
-
-    def sample_object(self, rng: Generator) -> ArticulatedObject:
-        """One of the models, a little larger or smaller, in its own colours or others."""
-        model = self.models[int(rng.integers(len(self.models)))]
+    def sample_object(self, rng: Generator, split: str = "train") -> ArticulatedObject:
+        """One of the models for a split, a little larger or smaller, in its own colours or others; of those to learn
+        from where there are none for it."""
+        models = self.models_of(split) or self.models_of("train")
+        model = models[int(rng.integers(len(models)))]
         scale = float(np.exp(self.scale_sigma * np.clip(rng.normal(), -_MOST_SCALE, _MOST_SCALE)))
         materials = _materials(rng, model.parts[0].surface.palette)
         parts = []
@@ -68,6 +65,10 @@ class OwnCategory:
             size = scale if own.kind == "prismatic" else 1.0
             joints.append(JointModel(joint, pivots[0], pivots[1], (size * own.limits[0], size * own.limits[1])))
         return ArticulatedObject(tuple(parts), tuple(joints))
+
+    def models_of(self, split: str) -> tuple[OwnModel, ...]:
+        """The models that were given for a split."""
+        return tuple(model for model, own in zip(self.models, self.splits, strict=True) if own == split)
 
     def sample_states(self, rng: Generator, model: ArticulatedObject) -> States:
         """Anything the joints allow, now and then at a limit; as far as tries go no part goes deep into another, nor
@@ -94,6 +95,14 @@ class OwnCategory:
 
     def on_table(self, model: ArticulatedObject) -> float:
         return 0.85 if model.diagonal_m < 1.0 else 0.4
+
+
+def T_part_link(model: OwnModel) -> dict[str, dict[str, Array]]:
+    """Of each part, (4,4) of every link of the file that belongs to it: T_camera_link = T_camera_part @ T_part_link."""
+    return {
+        part.name: {link: transform_from(np.eye(3), -_origin(part.surface)) @ T for link, T in part.links.items()}
+        for part in model.parts
+    }
 
 
 def _origin(surface: Surface) -> Array:
@@ -148,11 +157,14 @@ def own_category(
     rest: Resting = "stand",
     scale_sigma: float = SCALE_SIGMA,
     symmetries: Sequence[tuple[str, Symmetry]] = (),
+    unseen: Mapping[str, Sequence[OwnModel]] | None = None,
 ) -> OwnCategory:
     """The category of models that have the same parts and joints.
 
-    symmetries: of parts, by name. A mirror shows no object of such a category. ValueError names what differs between
-    the models, and a name that cannot be a folder's.
+    unseen: models for the split "validation" or "test" alone; without any, scenes of that split show the models learned
+    from. They set the joints' limits with the others, and nothing else of what the runtime knows. symmetries: of parts,
+    by name. A mirror shows no object of such a category. ValueError names what differs between the models, and a name
+    that cannot be a folder's.
     """
     if not name.isidentifier():
         raise ValueError(f"name: expected letters, digits and underscores, got {name!r}")
@@ -160,8 +172,14 @@ def own_category(
         raise ValueError(f"rest: expected one of {', '.join(get_args(Resting))}, got {rest!r}")
     if not 0.0 <= scale_sigma <= 0.2:
         raise ValueError(f"scale_sigma: expected 0 to 0.2, got {scale_sigma:g}")
+    unseen = unseen or {}
+    if not set(unseen) <= set(SPLITS[1:]):
+        raise ValueError(f"unseen: expected models for {' and '.join(SPLITS[1:])}, got {', '.join(unseen)}")
+    everything = [*models, *(model for own in unseen.values() for model in own)]
+    splits = (SPLITS[0],) * len(models) + tuple(split for split, own in unseen.items() for _ in own)
+    require_different([model.source for model in everything], "models", name)
     first = models[0]
-    for model in models[1:]:
+    for model in everything[1:]:
         _require_alike(first, model)
     symmetric = dict(symmetries)
     unknown = sorted(set(symmetric) - {part.name for part in first.parts})
@@ -170,7 +188,7 @@ def own_category(
         raise ValueError(f"symmetry: expected parts of {known}, got {', '.join(unknown)}")
     growth = float(np.exp(scale_sigma * _MOST_SCALE))
     joints = tuple(
-        Joint(joint.name, joint.parent, joint.child, joint.kind, joint.axis, _widest(models, k, growth))
+        Joint(joint.name, joint.parent, joint.child, joint.kind, joint.axis, _widest(everything, k, growth))
         for k, joint in enumerate(first.joints)
     )
     parts = tuple(
@@ -178,8 +196,9 @@ def own_category(
         for part in first.parts
     )
     rough = Category(name, parts, joints, NUM_VOTED, 1.0, mirror=None)
-    own = OwnCategory(rough, tuple(models), rest, scale_sigma)
-    return replace(own, category=_measured(own))
+    own = OwnCategory(rough, tuple(everything), rest, scale_sigma, splits)
+    own = replace(own, category=_measured(own))
+    return replace(own, category=with_templates(own.category, own.sample_object))
 
 
 def _require_alike(first: OwnModel, other: OwnModel) -> None:

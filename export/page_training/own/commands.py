@@ -19,6 +19,11 @@ def add_to(commands: Any) -> None:
     parser = commands.add_parser("from-urdf", help=text, description=text)
     parser.add_argument("name", help="of the category: letters, digits, underscores")
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="one object each, .urdf or .toml")
+    for split in ("validation", "test"):
+        parser.add_argument(
+            f"--{split}", type=Path, nargs="+", default=[], metavar="FILE",
+            help=f"objects for the {split} split alone, which training never sees (default: new scenes of FILE...)",
+        )  # fmt: skip
     parser.add_argument("--fix", nargs="+", default=[], metavar="JOINT", help="take these joints for fixed, at 0")
     parser.add_argument("--rest", default="stand", help="stand (on the root's -z side) or any (default: %(default)s)")
     parser.add_argument("--scale-sigma", type=float, help="by which sizes vary, a share (default: 0.02)")
@@ -34,36 +39,41 @@ def _from_urdf(options: argparse.Namespace) -> None:
     from page_training.own.category import SCALE_SIGMA, OwnCategory, own_category
     from page_training.own.files import CATEGORY_FILE, write_own
     from page_training.own.joint_file import read_joint_file
+    from page_training.own.model import OwnModel
     from page_training.own.urdf import read_urdf
     from page_training.terminal import progress_bar
 
     if options.name in BUILT_IN:
         raise ValueError(f"name: expected another than those of the built-in categories, got {options.name!r}")
-    models = []
+    given = {"train": options.files, "validation": options.validation, "test": options.test}
+    models: dict[str, list[OwnModel]] = {split: [] for split in given}
     with progress_bar() as progress:
-        task = progress.add_task("reading", total=len(options.files))
-        for path in options.files:
+        task = progress.add_task("reading", total=sum(map(len, given.values())))
+        for split, path in ((split, path) for split, paths in given.items() for path in paths):
             if path.suffix == ".urdf":
-                models.append(read_urdf(path, options.fix))
+                models[split].append(read_urdf(path, options.fix))
             elif path.suffix == ".toml":
-                models.append(read_joint_file(path, options.fix))
+                models[split].append(read_joint_file(path, options.fix))
             else:
                 raise ValueError(f"{path}: expected a .urdf file, or a .toml file that names meshes and joints")
             progress.advance(task)
     # Before what may refuse them: a wrong unit is seen from these.
-    for path, model in zip(options.files, models, strict=True):
-        _tell_sizes(path, model)
+    for split, paths in given.items():
+        for path, model in zip(paths, models[split], strict=True):
+            _tell_sizes(path, model)
     own: OwnCategory = own_category(
         options.name,
-        models,
+        models.pop("train"),
         rest=options.rest,
         scale_sigma=SCALE_SIGMA if options.scale_sigma is None else options.scale_sigma,
         symmetries=[_symmetry(*words) for words in options.symmetric],
+        unseen=models,
     )
     folder = own_folder(options.name)
     replaced = (folder / CATEGORY_FILE).is_file()
     write_own(own, folder)
     _tell_joints(own.category)
+    _tell_splits(own)
     if replaced:
         print(f"replaces the category {options.name} there was: what differs from it needs page-train scenes again")
     print(folder)
@@ -93,6 +103,14 @@ def _tell_sizes(path: Path, model: Any) -> None:
         print(f"{path.name}: a part measures {part_m:.3g} m: is the unit right? {_way_out(path, 'mm')}")
     elif whole < SMALL_OBJECT_M:
         print(f"{path.name}: all of it measures {1e3 * whole:.3g} mm: is the unit right? {_way_out(path, 'm')}")
+
+
+def _tell_splits(own: Any) -> None:
+    """Which objects the figures of a split will be of."""
+    for split in ("validation", "test"):
+        objects = len(own.models_of(split))
+        told = f"{objects} objects that training never sees" if objects else "new scenes of the objects trained on"
+        print(f"split {split}: {told}")
 
 
 def _way_out(path: Path, unit: str) -> str:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from page_runtime.bundle import BundleError, category_document, category_from
-from page_training.own.category import OwnCategory
+from page_training.own.category import OwnCategory, T_part_link
 from page_training.own.model import OwnJoint, OwnModel, OwnPart, Surface
 
-VERSION = 1
+VERSION = 2
 CATEGORY_FILE, MODELS_FILE = "category.json", "models.npz"
 
 
@@ -38,16 +38,20 @@ def write_own(own: OwnCategory, folder: Path) -> None:
         "models": [
             {
                 "source": model.source,
+                "split": split,
                 "parts": [
                     {"name": part.name, "links": {link: T.tolist() for link, T in part.links.items()}}
                     for part in model.parts
                 ],
                 "joints": [asdict(joint) for joint in model.joints],
             }
-            for model in own.models
+            for model, split in zip(own.models, own.splits, strict=True)
         ],
         "T_part_link": {
-            part: {link: T.tolist() for link, T in links.items()} for part, links in own.T_part_link.items()
+            model.source: {
+                part: {link: T.tolist() for link, T in links.items()} for part, links in T_part_link(model).items()
+            }
+            for model in own.models
         },
     }
     with (folder / MODELS_FILE).open("wb") as file:
@@ -67,7 +71,7 @@ def _read(folder: Path, _: int) -> OwnCategory:
         document = json.loads((folder / CATEGORY_FILE).read_text(encoding="utf-8"))
         if document["version"] != VERSION:
             raise ValueError(f"expected version {VERSION}, got {document['version']}")
-        models = []
+        models: list[OwnModel] = []
         with np.load(folder / MODELS_FILE) as arrays:
             for m, entry in enumerate(document["models"]):
                 parts = tuple(
@@ -86,7 +90,8 @@ def _read(folder: Path, _: int) -> OwnCategory:
                 )
                 models.append(OwnModel(entry["source"], parts, joints))
         category = category_from(document["description"])
-        return OwnCategory(category, tuple(models), document["rest"], float(document["scale_sigma"]))
+        splits = tuple(entry["split"] for entry in document["models"])
+        return OwnCategory(category, tuple(models), document["rest"], float(document["scale_sigma"]), splits)
     except (OSError, KeyError, TypeError, ValueError, BundleError) as error:
         raise ValueError(
             f"{folder}: expected a category of page-train from-urdf, got {error}; make it again"

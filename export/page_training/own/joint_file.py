@@ -1,6 +1,7 @@
 """A TOML file that names the mesh of each part and says how the joints move them.
 
 unit = "mm"                      # of meshes and points here; metres where not said
+up = "y"                         # the axis of the meshes that points up; z where not said
 
 [[part]]                         # the first is the one no joint moves
 name = "frame"
@@ -31,9 +32,16 @@ from typing import Any
 import numpy as np
 
 from page_runtime.category import JointKind
+from page_runtime.geometry import Array, transform_from
 from page_training.own.model import OwnJoint, OwnModel, OwnPart, require_different, require_known
-from page_training.own.surfaces import open_mesh, surfaces_of
+from page_training.own.surfaces import multiplied, open_mesh, surfaces_of
 
+# Of what points up in the meshes to +z: (3,3) rotations.
+TURNS = {
+    "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+}
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 KINDS: dict[str, tuple[JointKind, str]] = {
     "revolute": ("revolute", "limits_deg"),
@@ -50,10 +58,12 @@ def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: expected TOML, got {error}") from error
-    _closed(document, {"part", "joint"}, {"unit"}, str(path))
-    unit = document.get("unit", "m")
-    if unit not in UNITS_M:
-        raise ValueError(f"{path}: unit: expected one of {', '.join(UNITS_M)}, got {unit!r}")
+    _closed(document, {"part", "joint"}, {"unit", "up"}, str(path))
+    unit, up = document.get("unit", "m"), document.get("up", "z")
+    for name, value, known in (("unit", unit, tuple(UNITS_M)), ("up", up, tuple(TURNS))):
+        if value not in known:
+            raise ValueError(f"{path}: {name}: expected one of {', '.join(known)}, got {value!r}")
+    T_model_file = transform_from(np.array(TURNS[up], float), np.zeros(3))
     parts, joints = (_tables(document, name, path) for name in ("part", "joint"))
     names = [str(part.get("name")) for part in parts]
     require_different(names, "parts", path)
@@ -64,8 +74,9 @@ def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
         if not isinstance(files, list) or not files or not all(isinstance(file, str) for file in files):
             where = f"{path}, part {part['name']!r}: mesh"
             raise ValueError(f"{where}: expected a file's name or a list of them, got {part['mesh']!r}")
-        meshes.append([mesh for file in files for mesh in open_mesh(path.parent / str(file), UNITS_M[unit])])
-    all_joints = [_joint(entry, names, UNITS_M[unit], path) for entry in joints]
+        found = [mesh for file in files for mesh in open_mesh(path.parent / str(file), UNITS_M[unit])]
+        meshes.append(multiplied(found, T_model_file))
+    all_joints = [_joint(entry, names, UNITS_M[unit], T_model_file[:3, :3], path) for entry in joints]
     require_different([joint.name for joint in all_joints], "joints", path)
     require_known(fixed, [joint.name for joint in all_joints], path)
     _require_tree(all_joints, names, path)
@@ -73,7 +84,7 @@ def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
     kept = [k for k in range(len(names)) if carrier[k] == k]
     joined = [[mesh for k, own in enumerate(meshes) if carrier[k] == part for mesh in own] for part in kept]
     own = tuple(
-        OwnPart(names[part], surface, {names[k]: np.eye(4) for k in range(len(names)) if carrier[k] == part})
+        OwnPart(names[part], surface, {names[k]: T_model_file for k in range(len(names)) if carrier[k] == part})
         for part, surface in zip(kept, surfaces_of(joined), strict=True)
     )
     moving = tuple(
@@ -81,7 +92,7 @@ def read_joint_file(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
         for joint in all_joints
         if joint.name not in fixed
     )
-    return OwnModel(path.name, own, moving)
+    return OwnModel(path.as_posix(), own, moving)
 
 
 def _require_tree(joints: Sequence[OwnJoint], names: Sequence[str], path: Path) -> None:
@@ -107,7 +118,7 @@ def _carriers(joints: Sequence[OwnJoint], fixed: Sequence[str], count: int) -> l
     return carrier
 
 
-def _joint(entry: dict[str, Any], names: list[str], unit_m: float, path: Path) -> OwnJoint:
+def _joint(entry: dict[str, Any], names: list[str], unit_m: float, R_model_file: Array, path: Path) -> OwnJoint:
     where = f"{path}, joint {entry.get('name')!r}"
     if entry.get("kind") not in KINDS:
         raise ValueError(f"{where}: kind: expected revolute or prismatic, got {entry.get('kind')!r}")
@@ -120,8 +131,9 @@ def _joint(entry: dict[str, Any], names: list[str], unit_m: float, path: Path) -
     axis = np.array(_numbers(entry, "axis", 3, where))
     if np.linalg.norm(axis) < 1e-9:
         raise ValueError(f"{where}: axis: expected a direction, got {axis.tolist()}")
-    x, y, z = (float(value) for value in axis / np.linalg.norm(axis))
-    px, py, pz = (unit_m * value for value in _numbers(entry, "point", 3, where)) if "point" in entry else (0.0,) * 3
+    x, y, z = (float(value) for value in R_model_file @ axis / np.linalg.norm(axis))
+    point = np.array(_numbers(entry, "point", 3, where) if "point" in entry else (0.0,) * 3)
+    px, py, pz = (float(value) for value in unit_m * (R_model_file @ point))
     low, high = _numbers(entry, limits_name, 2, where)
     if kind == "revolute":
         low, high = float(np.radians(low)), float(np.radians(high))

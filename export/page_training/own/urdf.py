@@ -61,7 +61,7 @@ def read_urdf(path: Path, fixed: Sequence[str] = ()) -> OwnModel:
         OwnPart(name, surface, {link: T_model[link] for link, part in part_of.items() if part == k})
         for k, (name, surface) in enumerate(zip(names, surfaces_of(meshes), strict=True))
     )
-    return OwnModel(path.name, parts, tuple(_joint(path, joint, part_of, T_model) for joint in moving))
+    return OwnModel(path.as_posix(), parts, tuple(_joint(path, joint, part_of, T_model) for joint in moving))
 
 
 def _in_order(robot: Any) -> list[Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from page_training.categories import known_categories, own_folder
 from page_training.scenes import arm, box, cutter, dishwasher, drawer, eyeglasses, laptop, scissors, stapler
@@ -51,8 +52,12 @@ CATEGORIES: dict[str, SceneCategory] = {
 }
 
 
-def scene_category(name: str) -> SceneCategory:
-    """How scenes of a category are made; a ValueError that lists those there are."""
+def scene_category(name: str, split: str = "train") -> SceneCategory:
+    """How scenes of a category are made for a split; a ValueError that lists those there are.
+
+    Built-in categories make every object anew, so that none is in two splits; those of the user's own have the objects
+    that `page-train from-urdf` was given for it.
+    """
     if name in CATEGORIES:
         return CATEGORIES[name]
     if name not in known_categories():
@@ -60,4 +65,5 @@ def scene_category(name: str) -> SceneCategory:
     from page_training.own.files import read_own
 
     own = read_own(own_folder(name))
-    return SceneCategory(own.sample_object, own.sample_states, own.distance_m, own.sample_rest, on_table=own.on_table)
+    sample_object = partial(own.sample_object, split=split)
+    return SceneCategory(sample_object, own.sample_states, own.distance_m, own.sample_rest, on_table=own.on_table)

@@ -137,12 +137,13 @@ def _sample_camera(rng: Generator, T_camera_world: Array) -> Camera:
     return Camera(K=K, width=width, height=height, T_camera_world=T_camera_world)
 
 
-def sample_scene(category: str, rng: Generator) -> Scene:
-    """A random object of `category` in a random place before a random camera; everything follows from `rng`.
+def sample_scene(category: str, rng: Generator, split: str = "train") -> Scene:
+    """A random object of `category`, of those for `split`, in a random place before a random camera; all follows from
+    `rng`.
 
     Raises ValueError for a category there are no scenes of.
     """
-    kind = scene_category(category)
+    kind = scene_category(category, split)
     model = kind.sample_object(rng)
     states = kind.sample_states(rng, model)
     posed = _posed(rng, kind, model, states)
