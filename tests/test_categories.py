@@ -26,6 +26,7 @@ from page_runtime.validation.figures import figures_of
 from page_training.categories import CATEGORIES, category_named
 from page_training.record import recorded_frame
 from page_training.scenes import SceneView, full_view, sample_scene
+from page_training.scenes.kinds import scene_category
 from page_training.templates import part_templates
 
 FRAMES = 4
@@ -162,9 +163,8 @@ def test_perfect_answers_about_the_mirror_image_give_the_same(category: Category
 
 
 def test_templates_of_every_part_fit_perfect_poses(category: Category, frames: list[Seen]) -> None:
-    templates = part_templates(
-        scene_category(category.name).sample_object, np.random.default_rng(0), instances=8, points=256
-    )
+    sample_object = scene_category(category.name).sample_object
+    templates = part_templates(sample_object, np.random.default_rng(0), instances=8, points=256)
     parts = tuple(replace(part, template=one) for part, one in zip(category.parts, templates, strict=True))
     fitted = replace(category, parts=parts)
     for part, template in zip(category.parts, templates, strict=True):
