@@ -4,13 +4,16 @@ that are taken elsewhere."""
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from own_models import JOINT_FILE, URDF, beside
 from page_runtime.bundle import category_document
+from page_runtime.category import Category
 from page_runtime.geometry import apply
 from page_training.cache import make_shard
 from page_training.categories import own_folder
@@ -77,7 +80,9 @@ def test_meshes_that_stand_on_another_axis_are_set_upright(cupboard: Path, tmp_p
     np.testing.assert_allclose(T_model_file[:3, :3] @ np.eye(3)["xyz".index(up)], [0.0, 0.0, 1.0])
     assert np.isclose(np.linalg.det(T_model_file[:3, :3]), 1.0)
     for a, b in zip(turned.parts, plain.parts, strict=True):
-        np.testing.assert_allclose(a.surface.vertices, apply(T_model_file, b.surface.vertices.astype(float)), atol=1e-6)
+        moved = apply(T_model_file, b.surface.vertices.astype(float))
+        apart = np.linalg.norm(a.surface.vertices[:, None] - moved, axis=-1)
+        assert max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-5
     one, other = turned.joints[0], plain.joints[0]
     np.testing.assert_allclose(one.axis, T_model_file[:3, :3] @ other.axis)
     np.testing.assert_allclose(one.point, apply(T_model_file, np.array([other.point]))[0])
@@ -100,8 +105,13 @@ def test_a_checkpoint_needs_no_category_files_and_takes_none_of_the_same_name(
         if folder == "other":
             write_own(own_category("crane", [crane_model], scale_sigma=0.2), own_folder("crane"))
         again = with_templates(trained_category(state))
-        assert again.joints == own.category.joints
+        assert _without_templates(again) == _without_templates(own.category)
         for part, same in zip(again.parts, own.category.parts, strict=True):
             assert part.template is not None
             assert same.template is not None
             np.testing.assert_allclose(part.template.points_unit, same.template.points_unit, atol=1e-3)
+
+
+def _without_templates(category: Category) -> dict[str, Any]:
+    """All that a file says of it, rounded as files are."""
+    return category_document(replace(category, parts=tuple(replace(part, template=None) for part in category.parts)))

@@ -41,10 +41,13 @@ def test_a_folder_holds_what_repeats_the_run_and_its_best_network(cache: Path, t
     train(TrainingConfig(samples=6, **SHORT), BOX, cache, run, reports.append)
     again = TrainingConfig(**(json.loads((run / "config.json").read_text()) | {"augmentation": _augmentation(run)}))
     assert again == TrainingConfig(samples=6, **SHORT)
-    environment = json.loads((run / "environment.json").read_text())
-    assert {"command", "commit", "scenes_version", "versions", "machine"} <= environment.keys()
+    train(TrainingConfig(samples=8, **SHORT), BOX, cache, run, reports.append)
+    starts = [json.loads(line) for line in (run / "environment.jsonl").read_text().splitlines()]
+    assert [start["step"] for start in starts] == [0, 3]
+    for start in starts:
+        assert {"command", "commit", "scenes_version", "versions", "machine"} <= start.keys()
     totals = [report.validation["total"] for report in reports if report.validation is not None]
-    assert totals == validation_totals(run, 3)
+    assert totals == validation_totals(run, 4)
     assert totals[:1] == validation_totals(run, 1)
     best = int(np.argmin(totals))
     assert load_checkpoint(run / "best.pt", BOX)["samples"] == 2 * (best + 1)

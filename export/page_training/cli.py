@@ -133,6 +133,8 @@ def _scenes(options: argparse.Namespace) -> None:
     with progress_bar() as progress:
         for split, frames in (("validation", options.validation_frames), ("train", options.frames)):
             shards = -(-frames // SHARD_SIZE)
+            if shards * SHARD_SIZE != frames:
+                print(f"{split}: {shards * SHARD_SIZE} frames, as they come in shards of {SHARD_SIZE}", file=sys.stderr)
             task = progress.add_task(f"{category.name} {split}", total=shards)
 
             def done(path: Path, task=task) -> None:

@@ -1,7 +1,7 @@
 """The folder of a training run: everything needed to repeat it, to go on with it and to see how it went.
 
-config.json, environment.json, checkpoint.pt (to go on), best.pt (the averaged network of the best validation, as
-`page-train keep` keeps it), history.jsonl (one report a line), validation.png (the latest).
+config.json, environment.jsonl (a line for each start), checkpoint.pt (to go on), best.pt (the averaged network of the
+best validation, as `page-train keep` keeps it), history.jsonl (one report a line), validation.png (the latest).
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ _PACKAGES = ("page-edge", "torch", "numpy", "opencv-python-headless")
 _FREE = {"samples", "threads", "validate_every", "save_every", "patience"}
 
 
-def begin(run: Path, config: TrainingConfig) -> None:
-    """Write what the run is made of."""
+def begin(run: Path, config: TrainingConfig, step: int) -> None:
+    """Write what the run is made of, and with what it goes on from this step."""
     run.mkdir(parents=True, exist_ok=True)
-    _write(run / "config.json", asdict(config))
-    _write(run / "environment.json", _environment(config.category))
+    (run / "config.json").write_text(json.dumps(asdict(config), indent=2) + "\n")
+    with (run / "environment.jsonl").open("a") as starts:
+        starts.write(json.dumps({"step": step, **_environment(config.category)}) + "\n")
 
 
 def require_same_run(run: Path, begun: dict[str, Any], config: TrainingConfig) -> None:
@@ -67,10 +68,15 @@ def validation_totals(run: Path, step: int) -> list[float]:
 def _environment(category: str) -> dict[str, Any]:
     try:
         described = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=True, timeout=10
+            ["git", "describe", "--always", "--dirty"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+            cwd=Path(__file__).parent,
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        described = "not run from a git work tree"
+        described = "no git work tree, see versions"
     return {
         "command": sys.argv[1:],
         "commit": described,
@@ -78,7 +84,3 @@ def _environment(category: str) -> dict[str, Any]:
         "versions": versions(_PACKAGES),
         "machine": platform.machine(),
     }
-
-
-def _write(file: Path, document: dict[str, Any]) -> None:
-    file.write_text(json.dumps(document, indent=2) + "\n")

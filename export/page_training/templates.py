@@ -34,14 +34,16 @@ _COMPARED = 128
 ObjectOf = Callable[[Generator], ArticulatedObject]
 
 
-def with_templates(category: Category, sample_object: ObjectOf | None = None) -> Category:
+def with_templates(category: Category, sample_object: ObjectOf | None = None, instances: int = INSTANCES) -> Category:
     """The category with a template for each part, the same at every call; as it is where its parts have theirs, which
-    those of a category of the user's own do. sample_object: of the category, None for that of its scenes."""
+    those of a category of the user's own do. sample_object: of the category, None for that of its scenes; instances: as
+    `part_templates` takes them."""
     if all(part.template is not None for part in category.parts):
         return category
     templates = part_templates(
         sample_object or scene_category(category.name).sample_object,
         np.random.default_rng(zlib.crc32(category.name.encode())),
+        instances=instances,
         points=min(TEMPLATE_POINTS, MOST_POINTS // len(category.parts)),
     )
     parts = (replace(part, template=template) for part, template in zip(category.parts, templates, strict=True))

@@ -181,7 +181,7 @@ def train(
     _shards_for(cache, category)
     also = [] if config.also_from is None else _shards_for(Path(config.also_from), category, "import")
     if workers.first:
-        begin(run, config)
+        begin(run, config, first_step)
     totals = validation_totals(run, first_step)
     if _ended(totals, config.patience):
         return checkpoint

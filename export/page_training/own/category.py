@@ -21,13 +21,14 @@ from page_training.scenes.meshes import Mesh
 from page_training.scenes.resting import Rest, held_rest, upright_rest
 from page_training.scenes.statistics import joint_geometry, part_statistics
 from page_training.scenes.textures import Generator
-from page_training.templates import with_templates
+from page_training.templates import INSTANCES, with_templates
 
 Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
 SCALE_SIGMA = 0.02
 _MOST_SCALE = 3.0
 _MEASURED = 48
+_DRAWN_A_MODEL = 4
 _STATE_TRIES = 30
 _FEW = 60
 _INSIDE = 0.6
@@ -198,7 +199,9 @@ def own_category(
     rough = Category(name, parts, joints, NUM_VOTED, 1.0, mirror=None)
     own = OwnCategory(rough, tuple(everything), rest, scale_sigma, splits)
     own = replace(own, category=_measured(own))
-    return replace(own, category=with_templates(own.category, own.sample_object))
+    # Of one model all objects are alike but for their size, which a template does not have.
+    instances = 1 if len(models) == 1 else min(INSTANCES, _DRAWN_A_MODEL * len(models))
+    return replace(own, category=with_templates(own.category, own.sample_object, instances))
 
 
 def _require_alike(first: OwnModel, other: OwnModel) -> None:
