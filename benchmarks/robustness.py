@@ -2,7 +2,8 @@
 
     python benchmarks/robustness.py BUNDLE RECORDING [--json FILE]
 
-One look at each frame, with the same points for every setting before they are disturbed.
+One look at each frame, with the same points for every setting before they are disturbed; then they are smoothed where
+they are noisy, as the runtime smooths those of a noisy sensor.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from page_runtime.capture.playback import open_source
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
+from page_runtime.denoising import denoised
 from page_runtime.estimator import sample_for
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network
@@ -81,7 +83,7 @@ def _measured(network: Network, source: Source, perturbation: Any) -> dict[str, 
             if isinstance(sample, str):
                 compared.append((not_seen(metadata.category, sample), instance.truths))
                 continue
-            sample = perturbation(sample, rng)
+            sample = denoised(perturbation(sample, rng))
             output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
             compared.append((pose_from_output(metadata, sample, output), instance.truths))
     return figures_of(metadata.category, compared)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from page_runtime.bundle import BundleMetadata
+from page_runtime.denoising import denoised
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirror_order, mirrored_pose, mirrored_sample
 from page_runtime.network import Network, NetworkOutput
@@ -175,8 +176,9 @@ def sample_for(
     margin: float = REGION_MARGIN,
     depth_m: float | None = None,
 ) -> RegionSample | str:
-    """The points a bundle asks for, or why there are none; margin and depth_m as in `sample_region`."""
-    return sample_region(
+    """The points a bundle asks for, smoothed where the sensor is noisy, or why there are none; margin and depth_m as in
+    `sample_region`."""
+    sample = sample_region(
         frame,
         region,
         image_size=metadata.image_size,
@@ -185,3 +187,4 @@ def sample_for(
         margin=margin,
         depth_m=depth_m,
     )
+    return sample if isinstance(sample, str) else denoised(sample)
