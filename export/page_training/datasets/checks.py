@@ -14,9 +14,11 @@ import numpy as np
 
 from page_runtime.geometry import Array
 from page_training.datasets.annotated import Annotated, AnnotatedFrame, AnnotatedInstance, ObjectModel
-from page_training.datasets.depth_checks import check_depth
+from page_training.datasets.annotated_checks import check_pictures
 from page_training.datasets.findings import Finding
-from page_training.datasets.layout import AXES, signed_permutation
+from page_training.datasets.frame_checks import check_frames
+from page_training.datasets.layout import unverified
+from page_training.datasets.part_frames import AXES, signed_permutation
 
 SAME_PIVOT_M = 0.003
 SAME_AXIS_DEG = 1.0
@@ -30,16 +32,15 @@ def check_annotated(dataset: Annotated, on_frame: Callable[[], None] = lambda: N
     if not findings:
         findings.append(Finding("fine", "files", f"{len(dataset.frames)} annotated pictures, all of them readable"))
     if not dataset.layout.verified:
-        findings.append(
-            Finding("warning", "layout", f"{dataset.layout.name}: this layout was never checked on real data; read on")
-        )
+        findings.append(Finding("warning", "layout", f"{unverified(dataset.layout)}; read on"))
     if not any(instance.links for _, _, instance in _every_instance(dataset)):
         return [*findings, Finding("error", "links", "not one link in any annotation: nothing more can be checked")]
     findings += [
         *_links(dataset),
         *_matrices(dataset),
         *_joints(dataset),
-        *check_depth(dataset, on_frame),
+        *check_frames(dataset),
+        *check_pictures(dataset, on_frame),
         *_splits(dataset),
     ]
     return findings
