@@ -19,8 +19,10 @@ from page_training.datasets.annotated import read_annotated
 from page_training.datasets.checks import check_annotated
 from page_training.datasets.doctor import examine
 from page_training.datasets.findings import Finding
+from page_training.datasets.labelled import open_labelled
 from page_training.datasets.layout import BopLayout, Layout, layout_names, read_layout
 from page_training.datasets.part_frames import signed_permutation
+from page_training.datasets.samples import records_of
 
 
 def annotated_layout(name: str) -> Layout:
@@ -49,6 +51,13 @@ def spelled(layout: Layout) -> dict[str, str]:
     return {name: objects if name == "objects" else json.dumps(getattr(layout, name)) for name in Layout.__slots__}
 
 
+def written_layout(folder: Path, layout: Layout) -> Path:
+    """Its file."""
+    file = folder / "mine.toml"
+    file.write_text("\n".join(f"{name} = {value}" for name, value in spelled(layout).items()))
+    return file
+
+
 def found(path: Path, layout: Layout = REARTMIX) -> list[Finding]:
     return check_annotated(read_annotated(path, layout))
 
@@ -72,6 +81,27 @@ def test_a_right_data_set_is_fine_in_every_layout(name: str, category: str, tmp_
         "depth",
     }
     assert any(one.check == "layout" for one in findings) == (not layout.verified)
+
+
+@pytest.mark.parametrize(("name", "category"), DESCRIBED)
+def test_every_layout_gives_the_poses_states_and_masks_that_were_written(
+    name: str, category: str, tmp_path: Path
+) -> None:
+    layout, known = annotated_layout(name), CATEGORIES[category]
+    path = write_annotated(tmp_path, layout, category=category, fault=Fault(scale=0.8))
+    labelled = open_labelled(path, name, known)
+    assert bool(labelled.notes) == (not layout.verified)
+    truths = posed_object(known)
+    _, masks = seen_object(truths)
+    for instance in labelled.instances():
+        for k, (read, true) in enumerate(zip(instance.truths, truths, strict=True)):
+            np.testing.assert_allclose(read.T_camera_part, true.T_camera_part, atol=1e-9)
+            np.testing.assert_allclose(read.extents_m, true.extents_m, atol=1e-9)
+            assert read.name == true.name
+            assert (read.joint_state is None) == (true.joint_state is None)
+            assert abs((read.joint_state or 0.0) - (true.joint_state or 0.0)) < 1e-9
+            assert np.mean((instance.part_mask == k + 1) != masks[k]) < 0.002
+        assert len(records_of(instance, known, 1, np.random.default_rng(0))) == 1
 
 
 @pytest.mark.parametrize(
@@ -178,9 +208,7 @@ def test_a_wrong_layout_is_named(text: str, message: str, tmp_path: Path) -> Non
 
 def test_an_own_layout_reads_what_it_describes(tmp_path: Path) -> None:
     described = replace(REARTMIX, first_link=0, depth="range")
-    file = tmp_path / "mine.toml"
-    file.write_text("\n".join(f"{name} = {value}" for name, value in spelled(described).items()))
-    layout = annotated_layout(str(file))
+    layout = annotated_layout(str(written_layout(tmp_path, described)))
     assert layout == described
     assert errors(found(write_annotated(tmp_path, layout), layout)) == []
 
@@ -272,6 +300,8 @@ def test_part_frames_that_are_not_the_categorys_are_said_with_those_that_are(
     objects = tuple(replace(one, parts=parts) if one is right else one for one in layout.objects)
     findings = found(path, replace(layout, objects=objects))
     assert any(line.startswith("truths") for line in errors(findings))
+    with pytest.raises(ValueError, match="page-train doctor says more, and which axes would fit"):
+        open_labelled(path, str(written_layout(tmp_path, replace(layout, objects=objects))), CATEGORIES[category])
     (advice,) = [one.what for one in findings if one.check == "frames"]
     assert ", ".join(f"{part.part} [{' '.join(part.axes)}]" for part in right.parts) in advice
 

@@ -17,14 +17,19 @@ if TYPE_CHECKING:
     from page_training.datasets.labelled import Labelled
 
 
+_LAYOUTS = "artimage, bop, reartmix, robotarm or a file of your own; only reartmix was checked on real data"
+_WITHOUT_LAYOUT = "without --layout a recording of this project"
+
+
 def add_to(commands: Any) -> None:
     """Their parsers, on what argparse's add_subparsers gave."""
-    doctor = commands.add_parser("doctor", help="say what is wrong with a data set, and where")
-    doctor.add_argument("dataset", type=Path, help="a folder")
-    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help="artimage, reartmix, robotarm or one of your own")
+    doctor = _command(commands, "doctor", _doctor, "say what is wrong with a data set, and where; exit code 1 if it is")
+    doctor.add_argument("dataset", type=Path, help=f"a folder; {_WITHOUT_LAYOUT}, BOP or ReArtMix")
+    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help=_LAYOUTS)
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
-    doctor.set_defaults(run_command=_doctor)
-    imported = _command(commands, "import", _import, "make training samples of an annotated data set")
+    imported = _command(
+        commands, "import", _import, "make training samples of a data set or recording with true poses and masks"
+    )
     imported.add_argument("category", choices=known_categories())
     _dataset(imported)
     imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
@@ -46,16 +51,18 @@ def _command(commands: Any, name: str, run: Any, description: str) -> argparse.A
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, help="a folder; without --layout a recording of this project")
-    parser.add_argument("--layout", metavar="NAME", help="reartmix; needed for --objects")
+    parser.add_argument("dataset", type=Path, help=f"a folder; {_WITHOUT_LAYOUT}")
+    parser.add_argument("--layout", metavar="NAME|FILE.toml", help=f"{_LAYOUTS}; needed for --objects")
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--objects", type=int, nargs="+", metavar="ID", help="only these objects of the data set")
     chosen.add_argument("--without", type=int, nargs="+", metavar="ID", help="all its objects but these")
 
 
 def _doctor(options: argparse.Namespace) -> int:
+    from page_runtime.commands.outputs import require_file_place
     from page_training.datasets.doctor import examine
 
+    require_file_place(options.json, option="--json")
     with progress_bar() as progress:
         task = progress.add_task(str(options.dataset), total=None)
         findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
@@ -69,12 +76,14 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def _import(options: argparse.Namespace) -> None:
+    from page_runtime.commands.outputs import require_folder_place
     from page_training.cache import write_shard
     from page_training.datasets.samples import import_samples
     from page_training.records import SHARD_SIZE, shard_path
 
     if options.repeats < 1:
         raise ValueError(f"--repeats: expected at least 1, got {options.repeats}")
+    require_folder_place(options.cache, option="--cache")
     category = category_named(options.category)
     if list(shard_path(options.cache, category.name, "train", 0).parent.glob("train-*.npy")):
         raise ValueError(f"--cache: expected a folder without samples of {category.name!r}, got {options.cache}")

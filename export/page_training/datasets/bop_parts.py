@@ -60,7 +60,7 @@ def read_models(path: Path, layout: BopLayout | None) -> dict[int, PartModel]:
     """By obj_id; without a layout every object is one part in axes of its model. SourceError where there are none."""
     file = models_file_of(path, layout)
     if file is None:
-        where = "models/ beside the scene's split" if layout is None else str(path / layout.models)
+        where = "models/ beside the scene's split" if layout is None else str((path / layout.models).resolve())
         raise SourceError(f"{path}: no models_info.json; expected the boxes of its objects in {where}")
     document = read_object(file)
     if layout is None:

@@ -18,7 +18,7 @@ from page_training.datasets.annotated_checks import check_pictures
 from page_training.datasets.findings import Finding
 from page_training.datasets.frame_checks import check_frames
 from page_training.datasets.layout import unverified
-from page_training.datasets.part_frames import AXES, signed_permutation
+from page_training.datasets.part_frames import signed_orders, signed_permutation
 
 SAME_PIVOT_M = 0.003
 SAME_AXIS_DEG = 1.0
@@ -112,22 +112,13 @@ def _matrices(dataset: Annotated) -> Iterator[Finding]:
         yield Finding("fine", "matrices", "rigid transforms")
 
 
-def _orders() -> list[tuple[str, ...]]:
-    signs = list(itertools.product(("", "-"), repeat=3))
-    return [
-        tuple(sign + name for sign, name in zip(each, order, strict=True))
-        for order in itertools.permutations(AXES)
-        for each in signs
-    ]
-
-
 def _joints(dataset: Annotated) -> Iterator[Finding]:
     """Under which order of components do two parts agree on the joint between them?
 
     The sign of what runs along a hinge cannot be told: a hinge has no end.
     """
-    orders = _orders()
-    maps = np.array([signed_permutation(list(order)) for order in orders])
+    orders = signed_orders()
+    maps = np.array([signed_permutation(order) for order in orders])
     pivots, axes = [], []
     for _, _, instance in _every_instance(dataset):
         for distance_m, angle_deg in _joint_gaps(dataset, dataset.models[instance.model], instance, maps):

@@ -18,7 +18,7 @@ from page_training.datasets.annotated import read_annotated
 from page_training.datasets.bop_parts import in_order_of, models_file_of, read_bop_parts
 from page_training.datasets.checks import check_annotated
 from page_training.datasets.findings import Finding
-from page_training.datasets.layout import BopLayout, read_layout, unverified
+from page_training.datasets.layout import BopLayout, read_layout, require_dataset_folder, unverified
 from page_training.datasets.recorded_checks import check_source
 
 Read = Callable[[Path, Refuse], tuple[Source, PartMasks | None]]
@@ -27,10 +27,9 @@ Read = Callable[[Path, Refuse], tuple[Source, PartMasks | None]]
 def examine(path: Path, layout: str | None = None, on_frame: Callable[[], None] = lambda: None) -> list[Finding]:
     """Findings of the data set at `path`, by a layout (see `layout.read_layout`) or, without one, as whatever
     `page-runtime` recognises: its own recordings, BOP, ReArtMix. SourceError where nothing of it can be read."""
-    if not path.is_dir() and layout is not None:
-        raise SourceError(f"{path}: expected the folder of a data set, got {'a file' if path.exists() else 'nothing'}")
     if layout is not None:
         described = read_layout(layout)
+        require_dataset_folder(path)
         if not isinstance(described, BopLayout):
             return check_annotated(read_annotated(path, described), on_frame)
         told = [] if described.verified else [Finding("warning", "layout", f"{unverified(described)}; read on")]

@@ -6,7 +6,6 @@ axes, their places on the parts' boxes, their limits, and the parts' proportions
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -17,11 +16,11 @@ from page_runtime.geometry import Array
 from page_runtime.image_files import SourceError
 from page_runtime.joints import joint_residual, joint_state, opposed
 from page_runtime.recorded import PartTruth
-from page_runtime.similarity import Similarities
+from page_runtime.similarity import FloatArray, Similarities
 from page_training.categories import category_named
 from page_training.datasets.annotated import Annotated
 from page_training.datasets.findings import Finding, in_places
-from page_training.datasets.part_frames import AXES, ObjectFrames, PartFrame, signed_permutation
+from page_training.datasets.part_frames import ObjectFrames, PartFrame, signed_orders
 from page_training.datasets.posed import of_category, truths_of
 from page_training.datasets.truth_checks import Placed, check_truths
 
@@ -83,28 +82,18 @@ def _step(placed: Sequence[Placed]) -> int:
 class PosedBoxes:
     """The parts of an object in the data set's own axes: R (K,3,3) to camera, centers (K,3) m, extents_m (K,3)."""
 
-    R: Array
-    centers: Array
-    extents_m: Array
+    R: FloatArray
+    centers: FloatArray
+    extents_m: FloatArray
 
 
 def _posed(truths: tuple[PartTruth, ...], frames: ObjectFrames, category: Category) -> PosedBoxes:
     """The truths without the axes that the layout gives them."""
     given = {part.part: part.R_rest_part for part in frames.parts}
     turns = np.stack([given[part.name] for part in category.parts])
-    poses = np.stack([truth.T_camera_part for truth in truths])
+    poses = np.array([truth.T_camera_part for truth in truths], np.float64)
     extents_m = np.stack([np.abs(turn) @ truth.extents_m for turn, truth in zip(turns, truths, strict=True)])
     return PosedBoxes(poses[:, :3, :3] @ turns.transpose(0, 2, 1), poses[:, :3, 3], extents_m)
-
-
-def _frames() -> list[PartFrame]:
-    """All right-handed ones."""
-    signed = [
-        tuple(sign + name for sign, name in zip(signs, order, strict=True))
-        for order in itertools.permutations(AXES)
-        for signs in itertools.product(("", "-"), repeat=3)
-    ]
-    return [PartFrame("", axes) for axes in signed if np.linalg.det(signed_permutation(list(axes))) > 0]
 
 
 def fitting_axes(objects: Sequence[PosedBoxes], category: Category) -> list[tuple[str, ...]]:
@@ -112,7 +101,8 @@ def fitting_axes(objects: Sequence[PosedBoxes], category: Category) -> list[tupl
 
     The root's are those that the joints of its children fit best; each other part's those that fit its own joint.
     """
-    every = _frames()
+    signed = [PartFrame("", axes) for axes in signed_orders()]
+    every = [one for one in signed if np.linalg.det(one.R_rest_part) > 0]
     turns = [one.R_rest_part for one in every]
     children: dict[int, list[Joint]] = {}
     for joint in category.joints:

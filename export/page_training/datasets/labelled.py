@@ -20,8 +20,9 @@ from page_runtime.recorded import PartTruth, Source
 from page_runtime.sampling import Region
 from page_training.datasets.annotated import Annotated, read_annotated
 from page_training.datasets.bop_parts import in_order_of, read_bop_parts
-from page_training.datasets.layout import BopLayout, Layout, read_layout, unverified
+from page_training.datasets.layout import BopLayout, Layout, read_layout, require_dataset_folder, unverified
 from page_training.datasets.posed import frames_of, of_category, posed_source
+from page_training.datasets.truth_checks import faults_of
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,9 +62,12 @@ def open_labelled(
     """The data set at `path`; without a layout one that `page-runtime` plays with true poses.
 
     objects: only these of its objects, by their number, if any; without: all but these. ValueError for another
-    category, an unknown object or layout, and where there is nothing with true poses.
+    category, an unknown object or layout, where there is nothing with true poses, and where most of these cannot be of
+    the category.
     """
     layout = None if layout_name is None else read_layout(layout_name)
+    if layout is not None:
+        require_dataset_folder(path)
     if not isinstance(layout, Layout) and (objects or without):
         raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
     if layout is None:
@@ -76,9 +80,22 @@ def open_labelled(
         raise ValueError(
             f"{path}: expected objects of the category {category.name!r}, got {labelled.source.category!r}"
         )
+    _require_plausible(labelled.source, category)
     if layout is None or layout.verified:
         return labelled
     return replace(labelled, notes=(unverified(layout), *labelled.notes))
+
+
+def _require_plausible(source: Source, category: Category) -> None:
+    """ValueError where the true poses of most objects contradict the category: part frames of another convention would
+    spoil a training, and make every comparison wrong, without a word."""
+    truths = [one.truths for entry in source.entries for one in entry.instances if one.truths]
+    wrong = [faults.errors[0] for one in truths if (faults := faults_of(category, one)).errors]
+    if len(wrong) > 0.5 * len(truths):
+        raise ValueError(
+            f"{source.path}: {len(wrong)} of {len(truths)} objects cannot be of the category {category.name!r} "
+            f"({wrong[0]}); page-train doctor says more, and which axes would fit"
+        )
 
 
 def _played(path: Path) -> Labelled:

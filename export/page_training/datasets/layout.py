@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from page_runtime.image_files import SourceError
+from page_runtime.recording import RECORDING_FILE
 from page_training.datasets.part_frames import ObjectFrames, object_frames, require_order
 
 POLYGONS = "polygons"
@@ -57,6 +58,16 @@ class BopLayout:
     models: str
     obj_ids: tuple[int, ...]
     frames: ObjectFrames
+
+
+def require_dataset_folder(path: Path) -> None:
+    """SourceError unless `path` is a folder that a layout may describe."""
+    if not path.is_dir():
+        raise SourceError(f"{path}: expected the folder of a data set, got {'a file' if path.exists() else 'nothing'}")
+    if not any(path.iterdir()):
+        raise SourceError(f"{path}: expected the folder of a data set, got an empty one")
+    if (path / RECORDING_FILE).is_file():
+        raise SourceError(f"{path}: this is a recording of page-edge, which needs no --layout; leave it out")
 
 
 def unverified(layout: Layout | BopLayout) -> str:
@@ -118,7 +129,9 @@ def _checked(document: dict[str, Any], where: str) -> Layout:
     objects = tuple(
         object_frames(entry, where=f"layout {where}, objects {i}") for i, entry in enumerate(document["objects"])
     )
-    return Layout(**(document | {"objects": objects}))
+    read = dict(document)
+    read["objects"] = objects
+    return Layout(**read)
 
 
 def _checked_bop(document: dict[str, Any], where: str) -> BopLayout:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +26,7 @@ class PartFrame:
     @property
     def R_rest_part(self) -> Array:
         """(3,3) from our axes of the part to the data set's."""
-        return signed_permutation(list(self.axes)).T
+        return signed_permutation(self.axes).T
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,16 @@ class ObjectFrames:
     parts: tuple[PartFrame, ...]
 
 
-def signed_permutation(order: list[str]) -> Array:
+def signed_orders() -> list[tuple[str, ...]]:
+    """The 48 orders of x, y and z with and without "-" before each."""
+    return [
+        tuple(sign + name for sign, name in zip(signs, order, strict=True))
+        for order in itertools.permutations(AXES)
+        for signs in itertools.product(("", "-"), repeat=3)
+    ]
+
+
+def signed_permutation(order: Sequence[str]) -> Array:
     """(3,3) of components like ["y", "-z", "x"]."""
     matrix = np.zeros((3, 3))
     for row, name in zip(matrix, order, strict=True):
@@ -62,7 +73,7 @@ def object_frames(entry: Any, *, where: str) -> ObjectFrames:
         if not isinstance(part, dict) or set(part) != {"part", "axes"}:
             raise SourceError(f"{here}: expected {{part = NAME, axes = [X, Y, Z]}}, got {part!r}")
         axes = require_order(part["axes"], where=f"{here}, axes")
-        if np.linalg.det(signed_permutation(list(axes))) < 0:
+        if np.linalg.det(signed_permutation(axes)) < 0:
             raise SourceError(f"{here}, axes: expected a right-handed frame, got {list(axes)}; turn one of them round")
         parts.append(PartFrame(str(part["part"]), axes))
     if not parts or len({part.part for part in parts}) != len(parts):

@@ -107,9 +107,10 @@ def _joint_faults(category: Category, joint: Joint, truths: Sequence[PartTruth])
 def pair_of(joint: Joint, truths: Sequence[PartTruth]) -> tuple[Similarities, np.ndarray]:
     """The joint's two parts as similarities by their diagonals, and their extents in these (2,3)."""
     two = [truths[joint.parent], truths[joint.child]]
-    poses = np.stack([truth.T_camera_part for truth in two])
-    diagonals = np.array([np.linalg.norm(truth.extents_m) for truth in two])
-    extents_unit = np.stack([truth.extents_m for truth in two]) / diagonals[:, None]
+    poses = np.array([truth.T_camera_part for truth in two], np.float64)
+    extents_m = np.array([truth.extents_m for truth in two], np.float64)
+    diagonals = np.sqrt((extents_m**2).sum(axis=1))
+    extents_unit = extents_m / diagonals[:, None]
     return Similarities(poses[:, :3, :3], poses[:, :3, 3], diagonals), extents_unit
 
 
