@@ -137,7 +137,7 @@ def test_objects_are_counted_and_chosen(dataset: Path) -> None:
 
 
 def test_what_is_not_of_the_layout_or_the_category_is_refused(toy_recording: Path, dataset: Path) -> None:
-    with pytest.raises(ValueError, match="no annotations/ folder"):
+    with pytest.raises(ValueError, match="recording of page-edge, which needs no --layout"):
         open_labelled(toy_recording, "reartmix", BOX)
     with pytest.raises(ValueError, match="says nothing of the part frames of 'laptop', only of box"):
         open_labelled(dataset, "reartmix", category_named("laptop"))
