@@ -14,7 +14,7 @@ from page_runtime.category import Category
 from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.image_files import write_color, write_depth
 from page_training.categories import CATEGORIES
-from page_training.datasets.layout import POLYGONS, Layout
+from page_training.datasets.layout import POLYGONS, Layout, read_layout
 from page_training.datasets.part_frames import ObjectFrames, signed_permutation
 
 
@@ -31,6 +31,13 @@ class Fault:
     focal: float = 1.0
     sheared: bool = False
     transposed: bool = False
+
+
+def annotated_layout(name: str) -> Layout:
+    """A layout of that form, none of BOP."""
+    layout = read_layout(name)
+    assert isinstance(layout, Layout)
+    return layout
 
 
 def rest_poses(frames: ObjectFrames, category: Category, extents: list[Array]) -> tuple[list[Array], list[Array]]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import toy
-from annotated_folder import Fault, write_annotated
+from annotated_folder import Fault, annotated_layout, write_annotated
 from category_objects import posed_object, seen_object
 from page_runtime.image_files import SourceError
 from page_training.categories import CATEGORIES, category_named
@@ -23,13 +23,6 @@ from page_training.datasets.labelled import open_labelled
 from page_training.datasets.layout import BopLayout, Layout, layout_names, read_layout
 from page_training.datasets.part_frames import signed_permutation
 from page_training.datasets.samples import records_of
-
-
-def annotated_layout(name: str) -> Layout:
-    layout = read_layout(name)
-    assert isinstance(layout, Layout)
-    return layout
-
 
 REARTMIX = annotated_layout("reartmix")
 # Every category of every layout that comes with the package.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from annotated_folder import write_annotated
+from annotated_folder import annotated_layout, write_annotated
 from page_runtime.camera import Camera
 from page_runtime.capture.playback import open_source
 from page_runtime.geometry import apply, invert
@@ -20,7 +20,6 @@ from page_training.cli import main
 from page_training.config import TrainingConfig
 from page_training.datasets.annotated import read_annotated
 from page_training.datasets.labelled import chosen_objects, objects_of, only_objects, open_labelled
-from page_training.datasets.layout import Layout, read_layout
 from page_training.datasets.samples import import_samples, normals_camera
 from page_training.network import network_for
 from page_training.records import open_shards, shard_path
@@ -34,7 +33,7 @@ DATA = Path(__file__).resolve().parent / "data"
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_annotated(tmp_path_factory.mktemp("reartmix"), read_layout("reartmix"))
+    return write_annotated(tmp_path_factory.mktemp("reartmix"), annotated_layout("reartmix"))
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +122,7 @@ def test_a_recording_whose_parts_nobody_marked_is_refused(
 
 
 def test_objects_are_counted_and_chosen(dataset: Path) -> None:
-    layout = read_layout("reartmix")
-    assert isinstance(layout, Layout)
+    layout = annotated_layout("reartmix")
     annotated = read_annotated(dataset, layout)
     assert objects_of(annotated) == {OBJECT: 2}
     assert len(only_objects(annotated, [OBJECT]).frames) == 2
@@ -230,8 +228,7 @@ def test_a_checkpoint_is_evaluated_by_object(dataset: Path, tmp_path: Path, caps
 
 def test_the_real_sample_becomes_samples(shared_data: Path) -> None:
     path = shared_data / "reartmix_box"
-    layout = read_layout("reartmix")
-    assert isinstance(layout, Layout)
+    layout = annotated_layout("reartmix")
     counts = objects_of(read_annotated(path, layout))
     assert len(counts) == 6
     rarest = min(counts, key=lambda one: counts[one])

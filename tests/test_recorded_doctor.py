@@ -17,7 +17,7 @@ from page_runtime.image_files import write_mask
 from page_runtime.recording import RecordingWriter
 from page_training.categories import CATEGORIES
 from page_training.cli import main
-from page_training.datasets.depth_checks import MAX_FRAMES, sampled
+from page_training.datasets.depth_checks import sampled
 from page_training.datasets.doctor import examine
 from page_training.datasets.findings import PLACES_SHOWN, Finding, in_places
 
@@ -190,6 +190,9 @@ def test_files_that_are_broken_are_named_one_by_one_and_the_others_examined(
         assert sum(place in one.what for one in found) == 1, place
     assert any(one.check == "outlines" and one.where == "frame 3, base; frame 3, lid" for one in found)
     assert main(["doctor", str(path)]) == 1
+    # The first of the frames that can be read is sound.
+    assert not any(one.check == "outlines" for one in errors(examine(path, most_frames=1)))
+    assert main(["doctor", str(path), "--frames", "0"]) == 2
     assert str(mask) in capsys.readouterr().out
     edited(path, "scene_camera.json", lambda d: [camera.pop("cam_K") for camera in d.values()])
     found = errors(examine(path))
@@ -219,8 +222,8 @@ def test_a_mask_that_is_missing_is_named(sound: Path, tmp_path: Path) -> None:
 
 
 def test_frames_are_sampled_evenly_and_places_are_counted() -> None:
-    assert sampled(0) == []
-    assert sampled(5) == [0, 1, 2, 3, 4]
-    assert (len(sampled(1000)), sampled(1000)[0], sampled(1000)[-1]) == (MAX_FRAMES, 0, 999)
+    assert sampled(0, 40) == []
+    assert sampled(5, 40) == [0, 1, 2, 3, 4]
+    assert (len(sampled(1000, 40)), sampled(1000, 40)[0], sampled(1000, 40)[-1]) == (40, 0, 999)
     assert in_places(["a", "b"]) == "a; b"
     assert in_places(["a"] * (PLACES_SHOWN + 2)).endswith("; and 2 more")

@@ -26,6 +26,7 @@ def add_to(commands: Any) -> None:
     doctor = _command(commands, "doctor", _doctor, "say what is wrong with a data set, and where; exit code 1 if it is")
     doctor.add_argument("dataset", type=Path, help=f"a folder; {_WITHOUT_LAYOUT}, BOP or ReArtMix")
     doctor.add_argument("--layout", metavar="NAME|FILE.toml", help=_LAYOUTS)
+    doctor.add_argument("--frames", type=int, default=40, help="whose pictures are read, evenly (default: %(default)s)")
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
     imported = _command(
         commands, "import", _import, "make training samples of a data set or recording with true poses and masks"
@@ -63,9 +64,11 @@ def _doctor(options: argparse.Namespace) -> int:
     from page_training.datasets.doctor import examine
 
     require_file_place(options.json, option="--json")
+    if options.frames < 1:
+        raise ValueError(f"--frames: expected at least 1, got {options.frames}")
     with progress_bar() as progress:
         task = progress.add_task(str(options.dataset), total=None)
-        findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
+        findings = examine(options.dataset, options.layout, lambda: progress.advance(task), options.frames)
     for one in findings:
         print(
             f"{one.severity:8s} {one.check:9s} {one.what}" + (f"\n{'':18s} first at {one.where}" if one.where else "")

@@ -13,10 +13,10 @@ from page_training.datasets.evidence import SeenPart, thinned
 from page_training.datasets.findings import Finding
 
 
-def check_pictures(dataset: Annotated, on_frame: Callable[[], None]) -> Iterator[Finding]:
+def check_pictures(dataset: Annotated, on_frame: Callable[[], None], most_frames: int) -> Iterator[Finding]:
     """Findings of the pictures of some frames, those that cannot be read named and left out."""
     seen: list[SeenPart] = []
-    chosen = [dataset.frames[i] for i in sampled(len(dataset.frames))]
+    chosen = [dataset.frames[i] for i in sampled(len(dataset.frames), most_frames)]
     for frame in chosen:
         try:
             seen += _seen(dataset, frame, _units(frame))

@@ -15,6 +15,7 @@ import numpy as np
 from page_runtime.geometry import Array
 from page_training.datasets.annotated import Annotated, AnnotatedFrame, AnnotatedInstance, ObjectModel
 from page_training.datasets.annotated_checks import check_pictures
+from page_training.datasets.depth_checks import MAX_FRAMES
 from page_training.datasets.findings import Finding
 from page_training.datasets.frame_checks import check_frames
 from page_training.datasets.layout import unverified
@@ -26,8 +27,11 @@ SAME_AXIS_DEG = 1.0
 UNIFORM = 1e-3
 
 
-def check_annotated(dataset: Annotated, on_frame: Callable[[], None] = lambda: None) -> list[Finding]:
-    """Every finding, the checks in a fixed order; `on_frame` hears of each frame whose pictures were read."""
+def check_annotated(
+    dataset: Annotated, on_frame: Callable[[], None] = lambda: None, most_frames: int = MAX_FRAMES
+) -> list[Finding]:
+    """Every finding, the checks in a fixed order; `on_frame` hears of each frame whose pictures were read, of which
+    there are at most `most_frames`."""
     findings = [Finding("error", "files", problem) for problem in dataset.problems]
     if not findings:
         findings.append(Finding("fine", "files", f"{len(dataset.frames)} annotated pictures, all of them readable"))
@@ -40,7 +44,7 @@ def check_annotated(dataset: Annotated, on_frame: Callable[[], None] = lambda: N
         *_matrices(dataset),
         *_joints(dataset),
         *check_frames(dataset),
-        *check_pictures(dataset, on_frame),
+        *check_pictures(dataset, on_frame, most_frames),
         *_splits(dataset),
     ]
     return findings

@@ -42,13 +42,14 @@ UNITS = (1.0, 1e-3, 2.5e-4, 1e-4, 1.0 / 5000.0, 1e-5)
 FACTORS = (0.5, 2 / 3, 0.75, 0.8, 1.25, 4 / 3, 1.5, 2.0)
 # What an explanation has to be better by than the annotation as it is.
 BETTER = 1.15
+# Reading their pictures takes seconds.
 MAX_FRAMES = 40
 MOST_EXPLAINED = 60
 
 
-def sampled(count: int) -> list[int]:
-    """At most MAX_FRAMES of `count` frames, evenly: their pictures are read."""
-    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, MAX_FRAMES))}) if count else []
+def sampled(count: int, most: int) -> list[int]:
+    """At most `most` of `count` frames, evenly: their pictures are read."""
+    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most))}) if count else []
 
 
 def check_seen(parts: Sequence[SeenPart], unit_in_words: Callable[[float], str]) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from page_training.categories import category_named
 from page_training.datasets.annotated import read_annotated
 from page_training.datasets.bop_parts import in_order_of, models_file_of, read_bop_parts
 from page_training.datasets.checks import check_annotated
+from page_training.datasets.depth_checks import MAX_FRAMES
 from page_training.datasets.findings import Finding
 from page_training.datasets.layout import BopLayout, read_layout, require_dataset_folder, unverified
 from page_training.datasets.recorded_checks import check_source
@@ -24,23 +25,26 @@ from page_training.datasets.recorded_checks import check_source
 Read = Callable[[Path, Refuse], tuple[Source, PartMasks | None]]
 
 
-def examine(path: Path, layout: str | None = None, on_frame: Callable[[], None] = lambda: None) -> list[Finding]:
+def examine(
+    path: Path, layout: str | None = None, on_frame: Callable[[], None] = lambda: None, most_frames: int = MAX_FRAMES
+) -> list[Finding]:
     """Findings of the data set at `path`, by a layout (see `layout.read_layout`) or, without one, as whatever
-    `page-runtime` recognises: its own recordings, BOP, ReArtMix. SourceError where nothing of it can be read."""
+    `page-runtime` recognises: its own recordings, BOP, ReArtMix. most_frames: whose pictures are read.
+    SourceError where nothing of it can be read."""
     if layout is not None:
         described = read_layout(layout)
         require_dataset_folder(path)
         if not isinstance(described, BopLayout):
-            return check_annotated(read_annotated(path, described), on_frame)
+            return check_annotated(read_annotated(path, described), on_frame, most_frames)
         told = [] if described.verified else [Finding("warning", "layout", f"{unverified(described)}; read on")]
         ordered = in_order_of(described, category_named(described.frames.category))
-        return [*told, *_recorded(path, partial(_bop_parts, layout=ordered), on_frame)]
+        return [*told, *_recorded(path, partial(_bop_parts, layout=ordered), on_frame, most_frames)]
     # By its files: reading it as a source would stop at the first fault.
     reartmix = read_layout("reartmix")
     assert not isinstance(reartmix, BopLayout)
     if (path / reartmix.models).is_file() and (path / reartmix.annotations).is_dir():
-        return check_annotated(read_annotated(path, reartmix), on_frame)
-    return _recorded(path, _reader(path), on_frame)
+        return check_annotated(read_annotated(path, reartmix), on_frame, most_frames)
+    return _recorded(path, _reader(path), on_frame, most_frames)
 
 
 def _bop_parts(path: Path, note: Refuse, layout: BopLayout | None) -> tuple[Source, PartMasks | None]:
@@ -62,7 +66,7 @@ def _own(path: Path, note: Refuse) -> tuple[Source, PartMasks | None]:
     return source, part_masks(source)
 
 
-def _recorded(path: Path, read: Read, on_frame: Callable[[], None]) -> list[Finding]:
+def _recorded(path: Path, read: Read, on_frame: Callable[[], None], most_frames: int) -> list[Finding]:
     """Findings of what `read` reads; where not one frame is left of it, why."""
     problems: list[str] = []
     try:
@@ -71,4 +75,4 @@ def _recorded(path: Path, read: Read, on_frame: Callable[[], None]) -> list[Find
         if not problems:
             raise
         return [Finding("error", "files", problem) for problem in problems]
-    return check_source(source, masks, problems, on_frame)
+    return check_source(source, masks, problems, on_frame, most_frames)

@@ -12,7 +12,7 @@ from page_runtime.image_files import SourceError, read_color, read_depth
 from page_runtime.part_masks import PartMasks
 from page_runtime.recorded import FrameEntry, Instance, PartTruth, Source
 from page_training.categories import category_named
-from page_training.datasets.depth_checks import UNITS, check_seen, sampled
+from page_training.datasets.depth_checks import MAX_FRAMES, UNITS, check_seen, sampled
 from page_training.datasets.evidence import BOX_MARGIN_M, SeenPart, thinned
 from page_training.datasets.findings import Finding, in_places
 from page_training.datasets.truth_checks import check_truths
@@ -26,11 +26,13 @@ def check_source(
     masks: PartMasks | None,
     problems: Sequence[str] = (),
     on_frame: Callable[[], None] = lambda: None,
+    most_frames: int = MAX_FRAMES,
 ) -> list[Finding]:
     """Every finding. masks: of the parts, None where nobody marked them. problems: of frames that the source is already
-    without; `on_frame` hears of each examined."""
+    without; `on_frame` hears of each whose pictures are read,
+    of which there are at most `most_frames`."""
     findings = [Finding("error", "files", problem) for problem in problems]
-    chosen = [source.entries[i] for i in sampled(len(source))]
+    chosen = [source.entries[i] for i in sampled(len(source), most_frames)]
     findings.append(Finding("fine", "files", f"{len(source)} frames, {source.format}; pictures of {len(chosen)} read"))
     findings += _regions(source)
     findings += _truths(source)
