@@ -14,8 +14,16 @@ from page_runtime.category import Category
 from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.image_files import write_color, write_depth
 from page_training.categories import CATEGORIES
-from page_training.datasets.layout import POLYGONS, Layout, read_layout
+from page_training.datasets.layout import POLYGONS, Layout, layout_names, read_layout
 from page_training.datasets.part_frames import ObjectFrames, signed_permutation
+
+# Every category of every layout that comes with the package.
+DESCRIBED = [
+    (name, one.category)
+    for name in layout_names()
+    if isinstance(layout := read_layout(name), Layout)
+    for one in layout.objects
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +46,23 @@ def annotated_layout(name: str) -> Layout:
     layout = read_layout(name)
     assert isinstance(layout, Layout)
     return layout
+
+
+def spelled(layout: Layout) -> dict[str, str]:
+    """Each field as TOML has it."""
+    objects = "[" + ", ".join(
+        f"{{named = {json.dumps(one.named)}, category = {json.dumps(one.category)}, parts = ["
+        + ", ".join(f"{{part = {json.dumps(p.part)}, axes = {json.dumps(list(p.axes))}}}" for p in one.parts) + "]}"
+        for one in layout.objects
+    ) + "]"  # fmt: skip
+    return {name: objects if name == "objects" else json.dumps(getattr(layout, name)) for name in Layout.__slots__}
+
+
+def written_layout(folder: Path, layout: Layout) -> Path:
+    """Its file."""
+    file = folder / "mine.toml"
+    file.write_text("\n".join(f"{name} = {value}" for name, value in spelled(layout).items()))
+    return file
 
 
 def rest_poses(frames: ObjectFrames, category: Category, extents: list[Array]) -> tuple[list[Array], list[Array]]:
