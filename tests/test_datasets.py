@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 import toy
-from annotated_folder import Fault, write_annotated
+from annotated_folder import DESCRIBED, Fault, annotated_layout, spelled, write_annotated, written_layout
+from category_objects import posed_object, seen_object
 from page_runtime.image_files import SourceError
+from page_training.categories import CATEGORIES
 from page_training.cli import main
 from page_training.datasets.annotated import read_annotated
 from page_training.datasets.checks import check_annotated
 from page_training.datasets.doctor import examine
 from page_training.datasets.findings import Finding
-from page_training.datasets.layout import Layout, layout_names, read_layout, signed_permutation
+from page_training.datasets.layout import Layout, read_layout
+from page_training.datasets.part_frames import signed_permutation
 
-REARTMIX = read_layout("reartmix")
+REARTMIX = annotated_layout("reartmix")
 
 
 def found(path: Path, layout: Layout = REARTMIX) -> list[Finding]:
@@ -30,16 +33,18 @@ def errors(findings: Iterable[Finding]) -> list[str]:
     return [f"{one.check}: {one.what}" for one in findings if one.severity == "error"]
 
 
-@pytest.mark.parametrize("name", layout_names())
-def test_a_right_data_set_is_fine_in_every_layout(name: str, tmp_path: Path) -> None:
-    layout = read_layout(name)
-    findings = found(write_annotated(tmp_path, layout), layout)
+@pytest.mark.parametrize(("name", "category"), DESCRIBED)
+def test_a_right_data_set_is_fine_in_every_layout(name: str, category: str, tmp_path: Path) -> None:
+    layout = annotated_layout(name)
+    findings = found(write_annotated(tmp_path, layout, category=category), layout)
     assert errors(findings) == []
     assert {one.check for one in findings if one.severity == "fine"} >= {
         "files",
         "links",
         "matrices",
         "joints",
+        "truths",
+        "outlines",
         "depth",
     }
     assert any(one.check == "layout" for one in findings) == (not layout.verified)
@@ -52,9 +57,11 @@ def test_a_right_data_set_is_fine_in_every_layout(name: str, tmp_path: Path) -> 
         (Fault(sheared=True), "matrices", "not a rotation times one scale"),
         (Fault(transposed=True), "matrices", "stored transposed"),
         (Fault(joint_order=("x", "y", "z")), "joints", "in x y z: joint_order"),
-        (Fault(joint_order=("y", "-z", "x")), "joints", "joint_order in the layout"),
+        (Fault(joint_order=("-y", "z", "x")), "joints", "joint_order in the layout"),
         (Fault(unit=0.1), "depth", "with metres_per_unit 0.0001"),
-        (Fault(focal=2.0), "depth", "of the depth inside the masks"),
+        (Fault(focal=2.0), "outlines", "agree with fx and fy times 0.5"),
+        (Fault(focal=0.8), "outlines", "agree with fx and fy times 1.25"),
+        (Fault(focal=1.25), "outlines", "agree with fx and fy times 0.8"),
     ],
 )
 def test_a_fault_is_named_with_the_way_out(fault: Fault, check: str, advice: str, tmp_path: Path) -> None:
@@ -105,10 +112,10 @@ def test_splits_that_share_pictures_or_name_missing_ones_are_said(tmp_path: Path
 
 
 def test_masks_are_those_that_were_written(tmp_path: Path) -> None:
-    _, masks = toy.toy_frame()
-    for name in ("reartmix", "artimage"):
-        layout = read_layout(name)
-        dataset = read_annotated(write_annotated(tmp_path / name, layout), layout)
+    for name, category in (("reartmix", "box"), ("artimage", "laptop")):
+        layout = annotated_layout(name)
+        _, masks = seen_object(posed_object(CATEGORIES[category]))
+        dataset = read_annotated(write_annotated(tmp_path / name, layout, category=category), layout)
         read = dataset.frames[0].mask(0, 1, layout.first_link)
         assert np.mean(read != masks[1]) < 0.002
 
@@ -122,12 +129,19 @@ def test_masks_are_those_that_were_written(tmp_path: Path) -> None:
         ("metres_per_unit = 0", "metres_per_unit: expected > 0"),
         ('first_link = "one"', "first_link: expected int"),
         ('models = "{name}.json"', "no placeholder but"),
+        ("objects = 3", r"objects: expected tables \[\[objects\]\]"),
+        ('objects = [{named = "box"}]', "expected a table of named, category and parts"),
+        ('objects = [{named = "box", category = "box", parts = [3]}]', "part 0: expected {part = NAME"),
+        ('objects = [{named = "box", category = "box", parts = []}]', "expected parts of different names"),
+        (
+            'objects = [{named = "b", category = "b", parts = [{part = "p", axes = ["x", "y", "-z"]}]}]',
+            "expected a right-handed frame",
+        ),
     ],
 )
 def test_a_wrong_layout_is_named(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    known = {name: getattr(REARTMIX, name) for name in REARTMIX.__slots__}
-    lines = {name: f"{name} = {json.dumps(value)}" for name, value in known.items()}
+    lines = {name: f"{name} = {value}" for name, value in spelled(REARTMIX).items()}
     own = text.split(" = ")[0]
     file.write_text(
         "\n".join([*(line for name, line in lines.items() if name != own), text] if "=" in text else [text])
@@ -139,11 +153,9 @@ def test_a_wrong_layout_is_named(text: str, message: str, tmp_path: Path) -> Non
 
 
 def test_an_own_layout_reads_what_it_describes(tmp_path: Path) -> None:
-    known = {name: getattr(REARTMIX, name) for name in REARTMIX.__slots__} | {"first_link": 0, "depth": "range"}
-    file = tmp_path / "mine.toml"
-    file.write_text("\n".join(f"{name} = {json.dumps(value)}" for name, value in known.items()))
-    layout = read_layout(str(file))
-    assert layout == replace(REARTMIX, first_link=0, depth="range")
+    described = replace(REARTMIX, first_link=0, depth="range")
+    layout = annotated_layout(str(written_layout(tmp_path, described)))
+    assert layout == described
     assert errors(found(write_annotated(tmp_path, layout), layout)) == []
 
 
@@ -189,7 +201,7 @@ def test_the_doctor_examines_recordings_and_says_their_unit(toy_recording: Path,
     for camera in cameras.values():
         camera["depth_scale"] *= 10
     file.write_text(json.dumps(cameras))
-    assert any("0.1 times as far" in line for line in errors(examine(broken)))
+    assert any("agree with depth_scale 0.1" in line for line in errors(examine(broken)))
 
 
 def test_the_command_prints_findings_and_ends_with_the_right_code(
@@ -204,7 +216,7 @@ def test_the_command_prints_findings_and_ends_with_the_right_code(
     assert any(one["severity"] == "error" for one in json.loads((tmp_path / "findings.json").read_text()))
     assert main(["doctor", str(tmp_path / "nothing"), "--layout", "reartmix"]) == 2
     assert main(["doctor", str(right), "--layout", "unknown"]) == 2
-    assert "expected one of artimage, reartmix, robotarm" in capsys.readouterr().err
+    assert "expected one of artimage, bop, reartmix, robotarm" in capsys.readouterr().err
 
 
 def test_the_real_sample_is_fine_but_for_the_scale_in_its_matrices(shared_data: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from annotated_folder import write_annotated
+from annotated_folder import annotated_layout, write_annotated
 from page_runtime.camera import Camera
 from page_runtime.capture.playback import open_source
 from page_runtime.geometry import apply, invert
@@ -18,17 +18,9 @@ from page_training.categories import category_named
 from page_training.checkpoint import save_checkpoint
 from page_training.cli import main
 from page_training.config import TrainingConfig
-from page_training.datasets.layout import read_layout
-from page_training.datasets.recorded_samples import open_recording, recorded_instances
-from page_training.datasets.samples import (
-    import_samples,
-    labelled_instances,
-    normals_camera,
-    objects_of,
-    only_objects,
-    open_labelled,
-    require_category,
-)
+from page_training.datasets.annotated import read_annotated
+from page_training.datasets.labelled import chosen_objects, objects_of, only_objects, open_labelled
+from page_training.datasets.samples import import_samples, normals_camera
 from page_training.network import network_for
 from page_training.records import open_shards, shard_path
 from page_training.train import train
@@ -41,7 +33,7 @@ DATA = Path(__file__).resolve().parent / "data"
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_annotated(tmp_path_factory.mktemp("reartmix"), read_layout("reartmix"))
+    return write_annotated(tmp_path_factory.mktemp("reartmix"), annotated_layout("reartmix"))
 
 
 @pytest.fixture(scope="module")
@@ -90,12 +82,13 @@ def test_normals_of_a_tilted_plane_are_its_own_and_face_the_camera() -> None:
 
 def test_a_recording_of_the_project_becomes_samples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = DATA / "box"
-    source = open_recording(recording)
+    labelled = open_labelled(recording, None, BOX)
+    source = labelled.source
     assert main(["import", "box", str(recording), "--cache", str(tmp_path / "cache"), "--repeats", "2"]) == 0
     (records,) = open_shards(tmp_path / "cache", "box", "train")
     assert len(records) == 2 * len(source)
     assert f"{len(source)} instances" in capsys.readouterr().out
-    for instance, record in zip(recorded_instances(source), records[::2], strict=True):
+    for instance, record in zip(labelled.instances(), records[::2], strict=True):
         seen = np.bincount(instance.part_mask.ravel(), minlength=3)[1:]
         counts = np.bincount(record["labels"], minlength=3)[:2]
         # Points are sampled evenly over the crop, so they are shared as the pixels with depth are.
@@ -129,28 +122,32 @@ def test_a_recording_whose_parts_nobody_marked_is_refused(
 
 
 def test_objects_are_counted_and_chosen(dataset: Path) -> None:
-    annotated, source = open_labelled(dataset, "reartmix")
+    layout = annotated_layout("reartmix")
+    annotated = read_annotated(dataset, layout)
     assert objects_of(annotated) == {OBJECT: 2}
-    assert len(only_objects(annotated, source, [OBJECT])) == 2
-    for wrong in ([4], []):
-        with pytest.raises(ValueError, match="objects: expected some of"):
-            only_objects(annotated, source, wrong)
-    with pytest.raises(ValueError, match="category 'laptop', got 'box'"):
-        require_category(source, category_named("laptop"))
+    assert len(only_objects(annotated, [OBJECT]).frames) == 2
+    assert len(only_objects(annotated, [4]).frames) == 0
+    assert chosen_objects([1, 2, 3], [2], []) == {2}
+    assert chosen_objects([1, 2, 3], [], [2]) == {1, 3}
+    assert chosen_objects([1, 2], [], []) == {1, 2}
     with pytest.raises(ValueError, match="no instance that was chosen"):
         import_samples([], BOX, 1, 0)
 
 
-def test_a_layout_whose_part_frames_are_not_known_is_refused(toy_recording: Path) -> None:
-    with pytest.raises(ValueError, match="whose part frames page-runtime knows"):
-        open_labelled(toy_recording, "reartmix")
+def test_what_is_not_of_the_layout_or_the_category_is_refused(toy_recording: Path, dataset: Path) -> None:
+    with pytest.raises(ValueError, match="recording of page-edge, which needs no --layout"):
+        open_labelled(toy_recording, "reartmix", BOX)
+    with pytest.raises(ValueError, match="says nothing of the part frames of 'laptop', only of box"):
+        open_labelled(dataset, "reartmix", category_named("laptop"))
+    with pytest.raises(ValueError, match="the category 'laptop', got 'box'"):
+        open_labelled(toy_recording, None, category_named("laptop"))
 
 
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
         (["--objects", "9"], "expected objects among [3], got [9]"),
-        (["--without", "3"], "objects: expected some of [3], got none"),
+        (["--without", "3"], "--without: expected to leave some of [3], got none"),
         (["--repeats", "0"], "--repeats: expected at least 1"),
     ],
 )
@@ -226,15 +223,34 @@ def test_a_checkpoint_is_evaluated_by_object(dataset: Path, tmp_path: Path, caps
     assert main([*arguments, "--json", str(tmp_path / "nowhere" / "f.json")]) == 2
     assert "no folder" in capsys.readouterr().err
     assert main([*arguments, "--layout", "artimage"]) == 2
-    assert "expected a data set of layout ArtImage" in capsys.readouterr().err
+    assert "train: no annotations/ folder" in capsys.readouterr().err
 
 
 def test_the_real_sample_becomes_samples(shared_data: Path) -> None:
-    annotated, source = open_labelled(shared_data / "reartmix_box", "reartmix")
-    counts = objects_of(annotated)
+    path = shared_data / "reartmix_box"
+    layout = annotated_layout("reartmix")
+    counts = objects_of(read_annotated(path, layout))
     assert len(counts) == 6
     rarest = min(counts, key=lambda one: counts[one])
-    records = import_samples(labelled_instances(annotated, source, [rarest]), BOX, 1, 0)
+    records = import_samples(open_labelled(path, "reartmix", BOX, objects=[rarest]).instances(), BOX, 1, 0)
     assert counts[rarest] * 0.9 <= len(records) <= counts[rarest]
     # Marked points lie in the parts' boxes: of 2048 in a crop a box covers a tenth and more.
     assert np.mean([(record["labels"] < 2).mean() for record in records]) > 0.1
+
+
+def test_the_layout_gives_the_real_sample_the_poses_that_the_runtime_plays(shared_data: Path) -> None:
+    path = shared_data / "reartmix_box"
+    played, labelled = open_source(path), open_labelled(path, "reartmix", BOX).source
+    assert labelled.format == played.format
+    for one, other in zip(labelled.entries, played.entries, strict=True):
+        assert (one.index, one.color_path, one.metres_per_unit) == (
+            other.index,
+            other.color_path,
+            other.metres_per_unit,
+        )
+        for mine, theirs in zip(one.instances, other.instances, strict=True):
+            assert mine.region == theirs.region
+            for a, b in zip(mine.truths or (), theirs.truths or (), strict=True):
+                np.testing.assert_allclose(a.T_camera_part, b.T_camera_part, atol=1e-12)
+                np.testing.assert_allclose(a.extents_m, b.extents_m, atol=1e-12)
+                assert a.joint_state == pytest.approx(b.joint_state, abs=1e-9) if b.joint_state else not a.joint_state

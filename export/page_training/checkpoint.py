@@ -50,6 +50,10 @@ def save_checkpoint(path: Path, **state: Any) -> None:
     partial.rename(path)
 
 
+# What torch raises for files that are none of its own depends on their bytes.
+_UNREADABLE = (RuntimeError, pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError)
+
+
 def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, Any]:
     """A checkpoint or kept weights, of exactly `category` if given. ValueError says what is wrong with the file.
 
@@ -57,7 +61,7 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError) as error:
+    except (*_UNREADABLE, OSError) as error:
         # Not torch's own words: they advise to load the file in a way that lets it run code.
         raise ValueError(
             f"checkpoint {path}: torch cannot read it as weights; expected a .pt file of page-train"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,18 +13,24 @@ from page_training.categories import category_named, known_categories
 from page_training.terminal import progress_bar
 
 if TYPE_CHECKING:
-    from page_runtime.recorded import Source
-    from page_training.datasets.samples import LabelledInstance
+    from page_runtime.category import Category
+    from page_training.datasets.labelled import Labelled
+
+
+_LAYOUTS = "artimage, bop, reartmix, robotarm or a file of your own; only reartmix was checked on real data"
+_WITHOUT_LAYOUT = "without --layout a recording of this project"
 
 
 def add_to(commands: Any) -> None:
     """Their parsers, on what argparse's add_subparsers gave."""
-    doctor = commands.add_parser("doctor", help="say what is wrong with a data set, and where")
-    doctor.add_argument("dataset", type=Path, help="a folder")
-    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help="artimage, reartmix, robotarm or one of your own")
+    doctor = _command(commands, "doctor", _doctor, "say what is wrong with a data set, and where; exit code 1 if it is")
+    doctor.add_argument("dataset", type=Path, help=f"a folder; {_WITHOUT_LAYOUT}, BOP or ReArtMix")
+    doctor.add_argument("--layout", metavar="NAME|FILE.toml", help=_LAYOUTS)
+    doctor.add_argument("--frames", type=int, default=40, help="whose pictures are read, evenly (default: %(default)s)")
     doctor.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
-    doctor.set_defaults(run_command=_doctor)
-    imported = _command(commands, "import", _import, "make training samples of an annotated data set")
+    imported = _command(
+        commands, "import", _import, "make training samples of a data set or recording with true poses and masks"
+    )
     imported.add_argument("category", choices=known_categories())
     _dataset(imported)
     imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
@@ -46,19 +52,23 @@ def _command(commands: Any, name: str, run: Any, description: str) -> argparse.A
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, help="a folder; without --layout a recording of this project")
-    parser.add_argument("--layout", metavar="NAME", help="reartmix; needed for --objects")
+    parser.add_argument("dataset", type=Path, help=f"a folder; {_WITHOUT_LAYOUT}")
+    parser.add_argument("--layout", metavar="NAME|FILE.toml", help=f"{_LAYOUTS}; needed for --objects")
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--objects", type=int, nargs="+", metavar="ID", help="only these objects of the data set")
     chosen.add_argument("--without", type=int, nargs="+", metavar="ID", help="all its objects but these")
 
 
 def _doctor(options: argparse.Namespace) -> int:
+    from page_runtime.commands.outputs import require_file_place
     from page_training.datasets.doctor import examine
 
+    require_file_place(options.json, option="--json")
+    if options.frames < 1:
+        raise ValueError(f"--frames: expected at least 1, got {options.frames}")
     with progress_bar() as progress:
         task = progress.add_task(str(options.dataset), total=None)
-        findings = examine(options.dataset, options.layout, lambda: progress.advance(task))
+        findings = examine(options.dataset, options.layout, lambda: progress.advance(task), options.frames)
     for one in findings:
         print(
             f"{one.severity:8s} {one.check:9s} {one.what}" + (f"\n{'':18s} first at {one.where}" if one.where else "")
@@ -68,69 +78,40 @@ def _doctor(options: argparse.Namespace) -> int:
     return int(any(one.severity == "error" for one in findings))
 
 
-def _chosen(known: Sequence[int], options: argparse.Namespace) -> list[int]:
-    """The objects asked for; ValueError for one that is not known."""
-    named = options.objects or options.without or []
-    unknown = sorted(set(named) - set(known))
-    if unknown:
-        raise ValueError(f"{options.dataset}: expected objects among {sorted(known)}, got {unknown}")
-    chosen = sorted(set(options.objects) if options.objects else set(known) - set(named))
-    if not chosen:
-        raise ValueError(f"objects: expected some of {sorted(known)}, got none")
-    return chosen
-
-
 def _import(options: argparse.Namespace) -> None:
+    from page_runtime.commands.outputs import require_folder_place
     from page_training.cache import write_shard
-    from page_training.datasets.samples import import_samples, require_category
+    from page_training.datasets.samples import import_samples
     from page_training.records import SHARD_SIZE, shard_path
 
     if options.repeats < 1:
         raise ValueError(f"--repeats: expected at least 1, got {options.repeats}")
+    require_folder_place(options.cache, option="--cache")
     category = category_named(options.category)
     if list(shard_path(options.cache, category.name, "train", 0).parent.glob("train-*.npy")):
         raise ValueError(f"--cache: expected a folder without samples of {category.name!r}, got {options.cache}")
-    source, instances, count = _labelled(options)
-    require_category(source, category)
+    labelled = _labelled(options, category)
+    instances = labelled.instances()
     with progress_bar() as progress:
-        task = progress.add_task("importing", total=count)
+        task = progress.add_task("importing", total=labelled.count)
         records = import_samples(
             instances, category, options.repeats, options.seed, on_instance=lambda: progress.advance(task)
         )
     for shard, start in enumerate(range(0, len(records), SHARD_SIZE)):
         write_shard(shard_path(options.cache, category.name, "train", shard), records[start : start + SHARD_SIZE])
-    print(f"{options.cache}: {len(records)} samples of {count} instances")
+    print(f"{options.cache}: {len(records)} samples of {labelled.count} instances")
 
 
-def _labelled(options: argparse.Namespace) -> tuple[Source, Iterator[LabelledInstance], int]:
-    """What is imported: the source, the instances chosen, and how many these are."""
-    from page_training.datasets.recorded_samples import open_recording, recorded_instances
-    from page_training.datasets.samples import labelled_instances, objects_of, open_labelled
+def _labelled(options: argparse.Namespace, category: Category) -> Labelled:
+    """The data set asked for; what the user should know of it is said."""
+    from page_training.datasets.labelled import open_labelled
 
-    if options.layout is None:
-        _require_layout(options)
-        source = open_recording(options.dataset)
-        return source, recorded_instances(source), sum(len(entry.instances) for entry in source.entries)
-    annotated, source = open_labelled(options.dataset, options.layout)
-    counts = objects_of(annotated)
-    objects = _chosen(list(counts), options)
-    return source, labelled_instances(annotated, source, objects), sum(counts[one] for one in objects)
-
-
-def _require_layout(options: argparse.Namespace) -> None:
-    if options.objects or options.without:
-        raise ValueError("--objects, --without: expected a --layout that tells objects apart, got none")
-
-
-def _source(options: argparse.Namespace) -> Source:
-    from page_runtime.capture.playback import open_source
-    from page_training.datasets.samples import objects_of, only_objects, open_labelled
-
-    if options.layout is None:
-        _require_layout(options)
-        return open_source(options.dataset)
-    annotated, source = open_labelled(options.dataset, options.layout)
-    return only_objects(annotated, source, _chosen(list(objects_of(annotated)), options))
+    labelled = open_labelled(
+        options.dataset, options.layout, category, objects=options.objects or (), without=options.without or ()
+    )
+    for note in labelled.notes:
+        print(f"page-train: {note}", file=sys.stderr)
+    return labelled
 
 
 def _evaluate(options: argparse.Namespace) -> None:
@@ -143,7 +124,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 
     require_file_place(options.json, option="--json")
     trained = load_trained(options.checkpoint)
-    source = _source(options)
+    source = _labelled(options, trained.category).source
     with progress_bar() as progress:
         task = progress.add_task("evaluating", total=len(source))
         document = evaluate(

@@ -51,9 +51,11 @@ def part_masks(source: Source) -> PartMasks | None:
     if not (described.is_file() and folder.is_dir()):
         return None
     frames = read_object(described)["frames"]
+    # Of the frames that could be read alone: others may lack anything.
     return PartMasks(folder, {
-        int(number): tuple(
-            tuple(int(part["gt"]) for part in instance.get("parts") or ()) for instance in frame["instances"]
+        entry.index: tuple(
+            tuple(int(part["gt"]) for part in instance.get("parts") or ())
+            for instance in frames[str(entry.index)]["instances"]
         )
-        for number, frame in frames.items()
+        for entry in source.entries
     })  # fmt: skip

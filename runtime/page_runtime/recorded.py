@@ -7,7 +7,7 @@ facts are small, so a source is checked whole before its first frame is used.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -192,21 +192,42 @@ def require_central(camera: Camera, *, where: str) -> None:
         )
 
 
-def require_playable(source: Source) -> Source:
-    """`source` unchanged, or a SourceError: no frames, no depth pictures, sizes that differ, a region outside."""
+Refuse = Callable[[SourceError], None]
+
+
+def refuse(error: SourceError) -> None:
+    """What becomes of a frame that cannot be played: the whole source is refused. Others may note it and go on."""
+    raise error
+
+
+def require_playable(source: Source, on_problem: Refuse = refuse) -> Source:
+    """`source` without the frames that cannot be played: no depth picture, sizes that differ, a region outside.
+
+    on_problem hears of each of them, by default raising its SourceError. A source without frames is always one.
+    """
     if not source.entries:
         raise SourceError(f"{source.path}: no frames in this {source.format}")
+    entries = []
     for entry in source.entries:
-        if entry.decode is None:
-            _require_depth_picture(entry)
-        for instance in entry.instances:
-            if instance.region is None:
-                continue
-            try:
-                check_region(instance.region, entry.camera.width, entry.camera.height)
-            except ValueError as error:
-                raise SourceError(f"{source.path}, frame {entry.index}: {error}") from error
-    return source
+        try:
+            _require_playable_entry(source, entry)
+        except SourceError as error:
+            on_problem(error)
+        else:
+            entries.append(entry)
+    return source if len(entries) == len(source.entries) else replace(source, entries=tuple(entries))
+
+
+def _require_playable_entry(source: Source, entry: FrameEntry) -> None:
+    if entry.decode is None:
+        _require_depth_picture(entry)
+    for instance in entry.instances:
+        if instance.region is None:
+            continue
+        try:
+            check_region(instance.region, entry.camera.width, entry.camera.height)
+        except ValueError as error:
+            raise SourceError(f"{source.path}, frame {entry.index}: {error}") from error
 
 
 def _require_depth_picture(entry: FrameEntry) -> None:

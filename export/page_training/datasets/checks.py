@@ -14,9 +14,12 @@ import numpy as np
 
 from page_runtime.geometry import Array
 from page_training.datasets.annotated import Annotated, AnnotatedFrame, AnnotatedInstance, ObjectModel
-from page_training.datasets.depth_checks import check_depth
+from page_training.datasets.annotated_checks import check_pictures
+from page_training.datasets.depth_checks import MAX_FRAMES
 from page_training.datasets.findings import Finding
-from page_training.datasets.layout import AXES, signed_permutation
+from page_training.datasets.frame_checks import check_frames
+from page_training.datasets.layout import unverified
+from page_training.datasets.part_frames import signed_orders, signed_permutation
 
 SAME_PIVOT_M = 0.003
 SAME_AXIS_DEG = 1.0
@@ -24,22 +27,24 @@ SAME_AXIS_DEG = 1.0
 UNIFORM = 1e-3
 
 
-def check_annotated(dataset: Annotated, on_frame: Callable[[], None] = lambda: None) -> list[Finding]:
-    """Every finding, the checks in a fixed order; `on_frame` hears of each frame whose pictures were read."""
+def check_annotated(
+    dataset: Annotated, on_frame: Callable[[], None] = lambda: None, most_frames: int = MAX_FRAMES
+) -> list[Finding]:
+    """Every finding, the checks in a fixed order; `on_frame` hears of each frame whose pictures were read, of which
+    there are at most `most_frames`."""
     findings = [Finding("error", "files", problem) for problem in dataset.problems]
     if not findings:
         findings.append(Finding("fine", "files", f"{len(dataset.frames)} annotated pictures, all of them readable"))
     if not dataset.layout.verified:
-        findings.append(
-            Finding("warning", "layout", f"{dataset.layout.name}: this layout was never checked on real data; read on")
-        )
+        findings.append(Finding("warning", "layout", f"{unverified(dataset.layout)}; read on"))
     if not any(instance.links for _, _, instance in _every_instance(dataset)):
         return [*findings, Finding("error", "links", "not one link in any annotation: nothing more can be checked")]
     findings += [
         *_links(dataset),
         *_matrices(dataset),
         *_joints(dataset),
-        *check_depth(dataset, on_frame),
+        *check_frames(dataset),
+        *check_pictures(dataset, on_frame, most_frames),
         *_splits(dataset),
     ]
     return findings
@@ -111,22 +116,13 @@ def _matrices(dataset: Annotated) -> Iterator[Finding]:
         yield Finding("fine", "matrices", "rigid transforms")
 
 
-def _orders() -> list[tuple[str, ...]]:
-    signs = list(itertools.product(("", "-"), repeat=3))
-    return [
-        tuple(sign + name for sign, name in zip(each, order, strict=True))
-        for order in itertools.permutations(AXES)
-        for each in signs
-    ]
-
-
 def _joints(dataset: Annotated) -> Iterator[Finding]:
     """Under which order of components do two parts agree on the joint between them?
 
     The sign of what runs along a hinge cannot be told: a hinge has no end.
     """
-    orders = _orders()
-    maps = np.array([signed_permutation(list(order)) for order in orders])
+    orders = signed_orders()
+    maps = np.array([signed_permutation(order) for order in orders])
     pivots, axes = [], []
     for _, _, instance in _every_instance(dataset):
         for distance_m, angle_deg in _joint_gaps(dataset, dataset.models[instance.model], instance, maps):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
-from page_runtime.capture.playback import open_source
 from page_runtime.category import Category
-from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array, apply, invert
 from page_runtime.neighbours import LEVELS
-from page_runtime.recorded import PartTruth, Source
-from page_runtime.sampling import Region, RegionSample, sample_region
+from page_runtime.sampling import RegionSample, sample_region
 from page_training.cache import fill_record
-from page_training.datasets.annotated import Annotated, read_annotated
-from page_training.datasets.layout import read_layout
+from page_training.datasets.labelled import LabelledInstance
 from page_training.record import jittered
 from page_training.records import IMAGE_SIZE, record_type
 
@@ -31,85 +25,6 @@ _BEYOND_BOX_M = 0.015
 # Pixels to either side that a normal is taken across, and how far apart in depth these may be.
 _NORMAL_STEP = 3
 _NORMAL_JUMP_M = 0.03
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class LabelledInstance:
-    """One object in one picture. identity: the data set's number of the object. part_mask: (H,W) uint8, 0 background,
-    k + 1 part k. truths: of all parts, in the category's order and frames."""
-
-    identity: int
-    frame: RgbdFrame
-    region: Region
-    part_mask: NDArray[np.uint8]
-    truths: tuple[PartTruth, ...]
-
-
-def open_labelled(path: Path, layout_name: str) -> tuple[Annotated, Source]:
-    """A data set as annotated and as `page-runtime` plays it, whose parts have the category's canonical frames.
-
-    ValueError for layouts whose canonical frames are not known.
-    """
-    layout = read_layout(layout_name)
-    source = open_source(path)
-    if not source.has_truth or not source.format.startswith(layout.name):
-        raise ValueError(
-            f"{path}: expected a data set of layout {layout.name} whose part frames page-runtime knows, got "
-            f"{source.format}"
-        )
-    return read_annotated(path, layout), source
-
-
-def objects_of(annotated: Annotated) -> dict[int, int]:
-    """How many instances of each object are in the pictures, by the object's number."""
-    counts: dict[int, int] = {}
-    for frame in annotated.frames:
-        for instance in frame.instances:
-            counts[instance.model] = counts.get(instance.model, 0) + 1
-    return counts
-
-
-def only_objects(annotated: Annotated, source: Source, objects: Collection[int]) -> Source:
-    """The source with the instances of these objects alone, and without the pictures that show none.
-
-    ValueError for an object that the data set does not have, and if no picture is left.
-    """
-    unknown = sorted(set(objects) - objects_of(annotated).keys())
-    if unknown or not objects:
-        raise ValueError(f"objects: expected some of {sorted(objects_of(annotated))}, got {unknown or 'none'}")
-    models = {frame.color_path: [one.model for one in frame.instances] for frame in annotated.frames}
-    entries = []
-    for entry in source.entries:
-        chosen = tuple(
-            instance
-            for instance, model in zip(entry.instances, models.get(entry.color_path, []), strict=False)
-            if model in objects
-        )
-        if chosen:
-            entries.append(replace(entry, instances=chosen))
-    return replace(source, entries=tuple(entries))
-
-
-def labelled_instances(annotated: Annotated, source: Source, objects: Collection[int]) -> Iterator[LabelledInstance]:
-    """Every instance of the objects that has a region and true poses, picture by picture."""
-    entries = {entry.color_path: entry for entry in source.entries}
-    first_link = annotated.layout.first_link
-    for annotation in annotated.frames:
-        wanted = [i for i, one in enumerate(annotation.instances) if one.model in objects]
-        entry = entries.get(annotation.color_path)
-        if entry is None or not wanted:
-            continue
-        recorded = entry.read()
-        for i in wanted:
-            instance, links = recorded.instances[i], annotation.instances[i].links
-            if instance.region is None or instance.truths is None:
-                continue
-            part_mask = np.zeros(recorded.frame.depth_m.shape, np.uint8)
-            for n, link in enumerate(links):
-                part_mask[annotation.mask(i, n, first_link)] = link.identity - first_link + 1
-            yield LabelledInstance(
-                annotation.instances[i].model, recorded.frame, instance.region, part_mask, instance.truths
-            )
 
 
 def records_of(instance: LabelledInstance, category: Category, repeats: int, rng: np.random.Generator) -> NDArray[Any]:
@@ -200,9 +115,3 @@ def import_samples(
     if not len(records):
         raise ValueError(f"category {category.name!r}: no instance that was chosen has depth to learn from")
     return records
-
-
-def require_category(source: Source, category: Category) -> None:
-    """ValueError where the source shows objects of another one."""
-    if source.category != category.name:
-        raise ValueError(f"{source.path}: expected objects of the category {category.name!r}, got {source.category!r}")

@@ -8,6 +8,7 @@ Format: https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_form
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,15 @@ from page_runtime.capture.documents import (
 )
 from page_runtime.geometry import Array, transform_from
 from page_runtime.image_files import SourceError
-from page_runtime.recorded import FrameEntry, Instance, Source, camera_of_picture, require_playable
+from page_runtime.recorded import (
+    FrameEntry,
+    Instance,
+    Refuse,
+    Source,
+    camera_of_picture,
+    refuse,
+    require_playable,
+)
 from page_runtime.sampling import Region
 
 FORMAT = "BOP scene folder"
@@ -62,9 +71,20 @@ class BopScene:
             index=key,
         )
 
+    def entries(self, entry_of: Callable[[BopScene, int], FrameEntry], on_problem: Refuse) -> tuple[FrameEntry, ...]:
+        """`entry_of` this scene and each frame's number; on_problem hears of those for which it raises SourceError."""
+        found = []
+        for key in self.cameras:
+            try:
+                found.append(entry_of(self, key))
+            except SourceError as error:
+                on_problem(error)
+        return tuple(found)
 
-def open_scene(path: Path) -> BopScene:
-    """Read a scene folder's documents; SourceError when pictures and documents do not name the same frames."""
+
+def open_scene(path: Path, on_problem: Refuse = refuse) -> BopScene:
+    """Read a scene folder's documents; on_problem hears where pictures and documents do not name the same frames, and
+    those frames are left out. SourceError where nothing can be read."""
     color = _by_number(require_folder(path / "rgb", holding="colour pictures 000000.png ..."))
     depth = _by_number(require_folder(path / "depth", holding="16-bit depth pictures 000000.png ..."))
     if not color:
@@ -80,11 +100,12 @@ def open_scene(path: Path) -> BopScene:
         missing = sorted(set(wanted) - set(present))
         if missing:
             some = f"{len(missing)} of {len(wanted)} frames"
-            raise SourceError(f"{path}: {some} are not {place}, the first is {missing[0]}")
+            on_problem(SourceError(f"{path}: {some} are not {place}, the first is {missing[0]}"))
+    cameras = {key: cameras[key] for key in sorted(set(cameras) & set(color) & set(depth))}
     gt, gt_info = (
         _numbered(path, name) if (path / name).exists() else {} for name in ("scene_gt.json", "scene_gt_info.json")
     )
-    return BopScene(path, color, depth, dict(sorted(cameras.items())), gt, gt_info)
+    return BopScene(path, color, depth, cameras, gt, gt_info)
 
 
 def _by_number(folder: Path) -> dict[int, Path]:
@@ -100,16 +121,16 @@ def _numbered(path: Path, name: str) -> dict[int, Any]:
         raise SourceError(f"{path / name}: expected frame numbers as keys ({error})") from error
 
 
-def read_bop(path: Path) -> Source:
-    """The scene folder as a source, without truths."""
-    scene = open_scene(path)
-    entries = []
-    for key in scene.cameras:
-        where = f"{path / 'scene_gt_info.json'}, frame {key}"
-        regions = (visible_box(info, where=where) for info in listed(scene.gt_info.get(key, []), where=where))
-        instances = tuple(Instance(region) for region in regions if region is not None)
-        entries.append(replace(scene.entry(key), instances=instances))
-    return require_playable(Source(path, FORMAT, tuple(entries)))
+def read_bop(path: Path, on_problem: Refuse = refuse) -> Source:
+    """The scene folder as a source, without truths; on_problem hears of every frame that cannot be read."""
+    scene = open_scene(path, on_problem)
+    return require_playable(Source(path, FORMAT, scene.entries(_with_regions, on_problem)), on_problem)
+
+
+def _with_regions(scene: BopScene, key: int) -> FrameEntry:
+    where = f"{scene.path / 'scene_gt_info.json'}, frame {key}"
+    regions = (visible_box(info, where=where) for info in listed(scene.gt_info.get(key, []), where=where))
+    return replace(scene.entry(key), instances=tuple(Instance(region) for region in regions if region is not None))
 
 
 def visible_box(info: Any, *, where: str) -> Region | None:

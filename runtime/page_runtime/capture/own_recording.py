@@ -11,12 +11,13 @@ import numpy as np
 from page_runtime.capture.bop import BopScene, open_scene, pose_of
 from page_runtime.capture.documents import field, listed, number, numbers, read_object
 from page_runtime.image_files import SourceError
-from page_runtime.recorded import FrameEntry, Instance, PartTruth, Source, require_playable
+from page_runtime.recorded import FrameEntry, Instance, PartTruth, Refuse, Source, refuse, require_playable
 from page_runtime.recording import CALIBRATION_FILE, FORMAT, RECORDING_FILE, RECORDING_VERSION
 
 
-def read_recording(path: Path) -> Source:
-    """The recording in folder `path` as a source with truths; SourceError says what is wrong with it."""
+def read_recording(path: Path, on_problem: Refuse = refuse) -> Source:
+    """The recording in folder `path` as a source with truths; SourceError says what is wrong with it, on_problem hears
+    of every frame that cannot be read."""
     document = read_object(path / RECORDING_FILE)
     if document.get("version") != RECORDING_VERSION:
         raise SourceError(
@@ -26,16 +27,16 @@ def read_recording(path: Path) -> Source:
     where = str(path / RECORDING_FILE)
     names = tuple(str(name) for name in listed(field(document, "parts", where=where), where=f"{where}, parts"))
     frames = field(document, "frames", where=where)
-    scene = open_scene(path)
-    entries = tuple(
-        _entry(scene, key, field(frames, str(key), where=f"{where}, frames"), names) for key in scene.cameras
-    )
+
+    def entry_of(scene: BopScene, key: int) -> FrameEntry:
+        return _entry(scene, key, field(frames, str(key), where=f"{where}, frames"), names)
+
+    entries = open_scene(path, on_problem).entries(entry_of, on_problem)
     category = field(document, "category", where=where)
     calibration_file = path / CALIBRATION_FILE
     calibration = calibration_file.read_text(encoding="utf-8", errors="replace") if calibration_file.is_file() else None
-    if category is None:
-        return require_playable(Source(path, FORMAT, entries, calibration=calibration))
-    return require_playable(Source(path, FORMAT, entries, str(category), names, calibration=calibration))
+    known = {} if category is None else {"category": str(category), "part_names": names}
+    return require_playable(Source(path, FORMAT, entries, calibration=calibration, **known), on_problem)
 
 
 def _entry(scene: BopScene, key: int, facts: Any, names: tuple[str, ...]) -> FrameEntry:
