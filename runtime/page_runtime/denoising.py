@@ -103,12 +103,12 @@ class _Planes:
         unit = np.float32(1.0) / np.sqrt(np.mean(np.square(terms[1:])) + np.float32(1e-12))
         terms[1:] *= unit
         rise = inverse[near] - own[:, None]
-        others = np.float32(1.0)
-        if spread is None:
+        others, scatter = np.ones_like(rise), spread
+        if scatter is None:
             others = (near != np.arange(len(own))[:, None]).astype(np.float32)
-            spread = np.median(np.median(np.abs(rise), axis=1)) * _OF_TWO
-        scale = np.float32(1.0) / (_CUT * max(spread, _LEAST_SPREAD))
-        weights = others / np.square(np.float32(1.0) + np.square(scale * rise))
+            scatter = np.float32(np.median(np.median(np.abs(rise), axis=1))) * _OF_TWO
+        scale = np.float32(1.0) / (_CUT * max(scatter, _LEAST_SPREAD))
+        weights: Floats = others / np.square(np.float32(1.0) + np.square(scale * rise))
         plane = np.zeros((len(own), 3), np.float32)
         for fit in range(_FITS):
             if fit:
