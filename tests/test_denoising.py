@@ -42,14 +42,14 @@ def noisy(sample: RegionSample, sigma_m: float, seed: int = 0) -> RegionSample:
 @given(
     distance=st.floats(0.3, 3.0),
     tilt=st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)),
-    noise_m=st.floats(0.001, 0.03),
+    noise_m=st.floats(NOISY_M, 0.03),
 )
 @settings(max_examples=25, deadline=None)
 def test_a_plane_is_left_as_it_is(distance: float, tilt: tuple[float, float], noise_m: float) -> None:
     """n . p = distance, at any slant: its inverse depth is affine in the image."""
     sample = seen(lambda x, y: distance / (1.0 + tilt[0] * x + tilt[1] * y))
     again = smoothed(sample, noise_m)
-    np.testing.assert_allclose(again.points_camera, sample.points_camera, rtol=2e-4)
+    np.testing.assert_allclose(again.points_camera, sample.points_camera, rtol=5e-4)
     assert depth_noise_m(sample) < 1e-4 * distance
     assert denoised(sample) is sample
 

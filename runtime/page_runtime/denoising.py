@@ -107,13 +107,13 @@ class _Planes:
         if scatter is None:
             others = (near != np.arange(len(own))[:, None]).astype(np.float32)
             scatter = np.float32(np.median(np.median(np.abs(rise), axis=1))) * _OF_TWO
-        scale = np.float32(1.0) / (_CUT * max(scatter, _LEAST_SPREAD))
-        weights: Floats = others / np.square(np.float32(1.0) + np.square(scale * rise))
+        scale = _per_cut(scatter)
+        weights: Floats = others * _cauchy(scale * rise)
         plane = np.zeros((len(own), 3), np.float32)
         for fit in range(_FITS):
             if fit:
                 left = rise - np.einsum("tmk,mt->mk", terms, plane)
-                weights = others * np.square(np.maximum(np.float32(1.0) - np.square(scale * left), np.float32(0.0)))
+                weights = others * _tukey(scale * left)
             plane = _least_squares(terms, rise, weights)
         plane[:, 0] += own
         plane[:, 1:] *= unit
@@ -125,9 +125,24 @@ class _Planes:
         away = flat[:, None, :2] - self.middles[near, :2]
         planes = self.values[near]
         found = planes[..., 0] + planes[..., 1] * away[..., 0] + planes[..., 2] * away[..., 1]
-        explained = np.square((found - inverse[:, None]) / (_CUT * max(spread, _LEAST_SPREAD)))
-        weights = np.float32(1.0) / ((np.square(away).sum(axis=2) + 1.0) * np.square(np.float32(1.0) + explained))
+        left = (found - inverse[:, None]) * _per_cut(spread)
+        weights = _cauchy(left) / (np.square(away).sum(axis=2) + np.float32(1.0))
         return (weights * found).sum(axis=1) / weights.sum(axis=1)
+
+
+def _per_cut(spread: np.float32) -> np.float32:
+    """What turns distances in inverse depth into shares of where readings of another surface begin."""
+    return np.float32(1.0 / (_CUT * max(spread, _LEAST_SPREAD)))
+
+
+def _cauchy(residuals: Floats) -> Floats:
+    """Weights that never are 0: the least unlikely plane counts where none explains a reading."""
+    return np.asarray(np.float32(1.0) / np.square(np.float32(1.0) + np.square(residuals)), np.float32)
+
+
+def _tukey(residuals: Floats) -> Floats:
+    """Tukey's biweight, 0 from a residual of 1 on."""
+    return np.asarray(np.square(np.maximum(np.float32(1.0) - np.square(residuals), np.float32(0.0))), np.float32)
 
 
 def _least_squares(terms: Floats, rise: Floats, weights: Floats) -> Floats:
