@@ -125,7 +125,7 @@ class _Planes:
         away = flat[:, None, :2] - self.middles[near, :2]
         planes = self.values[near]
         found = planes[..., 0] + planes[..., 1] * away[..., 0] + planes[..., 2] * away[..., 1]
-        left = (found - inverse[:, None]) * _per_cut(spread)
+        left = np.asarray((found - inverse[:, None]) * _per_cut(spread), np.float32)
         weights = _cauchy(left) / (np.square(away).sum(axis=2) + np.float32(1.0))
         return (weights * found).sum(axis=1) / weights.sum(axis=1)
 
