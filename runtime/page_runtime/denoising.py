@@ -17,8 +17,8 @@ from page_runtime.sampling import RegionSample
 
 Floats = NDArray[np.float32]
 
-# Standard deviation above which points are smoothed. On validation frames, as simulated sensors record them, nine in
-# ten laptops are below it and three in five drawers; what is smoothed loses nothing by it.
+# Standard deviation above which points are smoothed. On validation frames, as simulated sensors record them, more
+# than nine in ten laptops are below it and two in three drawers; what is smoothed loses nothing by it.
 NOISY_M = 0.005
 # What a plane is to leave of the noise, as far as MOST neighbours can: fewer keep edges sharper.
 LEFT_M = 0.004
