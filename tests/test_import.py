@@ -253,6 +253,5 @@ def test_the_layout_gives_the_real_sample_the_poses_that_the_runtime_plays(share
             for a, b in zip(mine.truths or (), theirs.truths or (), strict=True):
                 np.testing.assert_allclose(a.T_camera_part, b.T_camera_part, atol=1e-12)
                 np.testing.assert_allclose(a.extents_m, b.extents_m, atol=1e-12)
-                # The one is the turn about the category's axis, the other that between the two rotations.
                 assert (a.joint_state is None) == (b.joint_state is None)
-                assert a.joint_state is None or a.joint_state == pytest.approx(b.joint_state, abs=1e-3)
+                assert a.joint_state is None or a.joint_state == pytest.approx(b.joint_state, abs=1e-9)

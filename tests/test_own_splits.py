@@ -46,7 +46,7 @@ def test_objects_given_for_a_split_are_in_its_frames_alone(
     words = ["from-urdf", "crane", str(crane), "--validation", str(wide), "--test", str(flat), "--scale-sigma", "0"]
     assert main(words) == 0
     told = capsys.readouterr().out
-    assert "split validation: 1 objects that training never sees" in told
+    assert "split validation: objects that training never sees, 1 of them" in told
     own = read_own(own_folder("crane"))
     sizes = {"train": (0.3, 0.2, 0.1), "validation": (0.5, 0.2, 0.1), "test": (0.3, 0.2, 0.04)}
     for split, size in sizes.items():
@@ -69,6 +69,17 @@ def test_an_object_is_in_one_split_and_a_split_without_objects_shows_those_of_tr
     own = own_category("crane", [crane_model], scale_sigma=0.0, unseen={"test": []})
     one, other = (own.sample_object(np.random.default_rng(0), split) for split in ("train", "test"))
     np.testing.assert_array_equal(one.parts[0].mesh.vertices, other.parts[0].mesh.vertices)
+
+
+@pytest.mark.parametrize("split", ["test", "tset"])
+def test_a_category_file_without_objects_to_learn_from_or_of_an_unknown_split_is_refused(
+    crane_model: OwnModel, tmp_path: Path, split: str
+) -> None:
+    write_own(own_category("crane", [crane_model]), tmp_path)
+    path = tmp_path / "category.json"
+    path.write_text(path.read_text().replace('"split": "train"', f'"split": "{split}"'))
+    with pytest.raises(ValueError, match=f"got models of the splits {split}; make it again"):
+        read_own(tmp_path)
 
 
 @pytest.mark.parametrize("up", ["x", "y"])

@@ -63,15 +63,16 @@ def joint_state(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> t
         direction = pair.R[0] @ (vector / max(angle, 1e-12))
         derivative[:3], derivative[7:10] = -direction, direction
         return angle, derivative
-    unit = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    # The least other component of the axis is farthest from it.
-    across = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
-    across /= np.linalg.norm(across)
-    turned = turn @ across
-    angle = float(np.arctan2(turned @ np.cross(unit, across), turned @ across))
+    angle = turned_about(np.array(joint.axis) / np.linalg.norm(joint.axis), turn)
     middle = 0.5 * (joint.limits[0] + joint.limits[1])
     derivative[:3], derivative[7:10] = -axis, axis
     return middle + float(np.remainder(angle - middle + np.pi, 2.0 * np.pi)) - np.pi, derivative
+
+
+def turned_about(axis: FloatArray, R: FloatArray) -> float:
+    """The angle, rad in (-pi, pi], of the turn about a unit axis (3,) that is nearest to a rotation R (3,3)."""
+    twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.arctan2(axis @ twice_sine, np.trace(R) - axis @ R @ axis))
 
 
 def _turn(joint: Joint, pair: Similarities) -> Residual:

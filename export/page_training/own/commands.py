@@ -109,7 +109,9 @@ def _tell_splits(own: Any) -> None:
     """Which objects the figures of a split will be of."""
     for split in ("validation", "test"):
         objects = len(own.models_of(split))
-        told = f"{objects} objects that training never sees" if objects else "new scenes of the objects trained on"
+        told = f"objects that training never sees, {objects} of them"
+        if not objects:
+            told = "new scenes of the objects trained on"
         print(f"split {split}: {told}")
 
 

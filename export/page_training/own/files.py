@@ -17,6 +17,7 @@ import numpy as np
 from page_runtime.bundle import BundleError, category_document, category_from
 from page_training.own.category import OwnCategory, T_part_link
 from page_training.own.model import OwnJoint, OwnModel, OwnPart, Surface
+from page_training.records import SPLITS
 
 VERSION = 2
 CATEGORY_FILE, MODELS_FILE = "category.json", "models.npz"
@@ -90,7 +91,9 @@ def _read(folder: Path, _: int) -> OwnCategory:
                 )
                 models.append(OwnModel(entry["source"], parts, joints))
         category = category_from(document["description"])
-        splits = tuple(entry["split"] for entry in document["models"])
+        splits = tuple(str(entry["split"]) for entry in document["models"])
+        if SPLITS[0] not in splits or not set(splits) <= set(SPLITS):
+            raise ValueError(f"models of the splits {', '.join(sorted(set(splits))) or 'none'}")
         return OwnCategory(category, tuple(models), document["rest"], float(document["scale_sigma"]), splits)
     except (OSError, KeyError, TypeError, ValueError, BundleError) as error:
         raise ValueError(

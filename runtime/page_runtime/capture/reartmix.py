@@ -17,6 +17,7 @@ from page_runtime.capture.color_depth import depth_unit, folder_camera, paired_p
 from page_runtime.capture.documents import field, frame_numbers, listed, number, numbers, read_object, require_folder
 from page_runtime.geometry import Array, require_rigid, transform_from
 from page_runtime.image_files import SourceError
+from page_runtime.joints import turned_about
 from page_runtime.recorded import FrameEntry, Instance, PartTruth, Source, require_playable
 
 FORMAT = "ReArtMix folder"
@@ -133,6 +134,5 @@ def part_from_rest(matrix: Array, corners_rest: Array, R_rest_part: Array, *, wh
 
 def opening_angle(R_camera_base: Array, R_camera_lid: Array) -> float:
     """Angle, rad, by which the lid is turned from closed about -x of the base; in (-pi/2, 3 pi/2]."""
-    R_base_lid = R_camera_base.T @ R_camera_lid
-    angle = float(np.arctan2(R_base_lid[1, 2] - R_base_lid[2, 1], R_base_lid[1, 1] + R_base_lid[2, 2]))
+    angle = turned_about(np.array([-1.0, 0.0, 0.0]), R_camera_base.T @ R_camera_lid)
     return angle if angle > -np.pi / 2 else angle + 2 * np.pi
