@@ -134,7 +134,7 @@ def _eyeglasses() -> Category:
             Joint("right hinge", 0, 2, "revolute", (0.0, 0.0, -1.0), limits, right),
         ),
         num_voted=NUM_VOTED,
-        region_radius_m=0.26,
+        region_radius_m=0.2,
         mirror=Mirror(parts=(0, 2, 1)),
     )
 
