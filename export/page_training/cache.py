@@ -8,9 +8,14 @@ The bound on disk is the number of shards asked for.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -107,10 +112,51 @@ def make_shards(
     shards: range,
     root: Path,
     on_shard: Callable[[Path], None] = lambda _: None,
+    processes: int = 1,
+    size: int = SHARD_SIZE,
 ) -> None:
-    """Make the missing ones of `shards`; `on_shard` hears of each as it is there."""
-    for shard in shards:
-        path = shard_path(root, category.name, split, shard)
-        if not path.exists():
-            make_shard(category, split, shard, path)
+    """Make the missing ones of `shards`, of `size` records, so many at once; `on_shard` hears of each that is there.
+
+    A shard is the same whichever process makes it. ChildProcessError where one was killed; the shards made stay.
+    """
+    paths = [shard_path(root, category.name, split, shard) for shard in shards]
+    missing = [(shard, path) for shard, path in zip(shards, paths, strict=True) if not path.exists()]
+    for path in sorted(set(paths) - {path for _, path in missing}):
         on_shard(path)
+    if processes == 1 or len(missing) < 2:
+        for shard, path in missing:
+            make_shard(category, split, shard, path, size)
+            on_shard(path)
+        return
+    others = set(multiprocessing.active_children())
+    # Fresh interpreters: OpenCV's threads do not survive a fork.
+    with ProcessPoolExecutor(min(processes, len(missing)), multiprocessing.get_context("spawn")) as pool:
+        try:
+            with _interrupts_held():
+                running = {pool.submit(make_shard, category, split, shard, path, size): path for shard, path in missing}
+            for future in as_completed(running):
+                future.result()
+                on_shard(running[future])
+        except BaseException as error:
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise ChildProcessError(
+                    f"a process that makes scenes of {category.name!r} was killed; is there memory for {processes}? "
+                    "The shards made are whole, and the same command with fewer --processes makes the others"
+                ) from error
+            raise
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C within comes at the end. Processes started within never hear it: it goes to the whole group, and is for
+    the one that started them to answer."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)

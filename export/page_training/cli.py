@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     scenes.add_argument("--frames", type=int, default=12_000, help="training frames in all (default: %(default)s)")
     scenes.add_argument("--validation-frames", type=int, default=SHARD_SIZE)
     scenes.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="about 0.25 MB a frame")
+    scenes.add_argument("--processes", type=int, metavar="N", help="make N shards at once (default: one a core)")
     defaults = TrainingConfig(category="")
     pose = command("pose", _pose, "train the pose network, or go on with it")
     pose.add_argument("--samples", type=int, default=defaults.samples, help="frames seen (default: %(default)s)")
@@ -127,9 +128,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _scenes(options: argparse.Namespace) -> None:
+    from page_runtime.machine import available_processors
     from page_training.cache import make_shards
 
     category = category_named(options.category)
+    processes = available_processors() if options.processes is None else options.processes
+    if processes < 1:
+        raise ValueError(f"--processes: expected at least 1, got {processes}")
     with progress_bar() as progress:
         for split, frames in (("validation", options.validation_frames), ("train", options.frames)):
             shards = -(-frames // SHARD_SIZE)
@@ -141,7 +146,7 @@ def _scenes(options: argparse.Namespace) -> None:
                 progress.advance(task)
                 say(f"{path}")
 
-            make_shards(category, split, range(shards), options.cache, done)
+            make_shards(category, split, range(shards), options.cache, done, processes)
 
 
 def _pose(options: argparse.Namespace) -> None:
