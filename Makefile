@@ -41,9 +41,9 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-bench: $(VENV)/.dev
-	@mkdir -p benchmarks/results
-	$(BIN)/page-runtime bench tests/data/laptop --bundle runtime/bundles/laptop.onnx --json benchmarks/results/latency-laptop.json
+bench: $(VENV)/.runtime
+	@mkdir -p $(OUT)
+	$(BIN)/page-runtime bench tests/data/laptop --bundle runtime/bundles/laptop.onnx --looks 1 --json $(OUT)/laptop-latency.json
 
 # Hours on two cores where nothing is kept yet; interrupt it, and the same command goes on.
 tables: $(VENV)/.dev

@@ -130,6 +130,7 @@ def test_compare_ends_with_1_for_a_slower_run_and_2_for_what_cannot_be_compared(
     assert "\nregression\n" in capsys.readouterr().out
     for other, sentence in (
         (document([40.0, 41.0], cpu="D"), "they differ in cpu (C and D)"),
+        (document([40.0, 41.0], region=[0, 0, 9, 9]), "they differ in region (None and [0, 0, 9, 9])"),
         ({"total": {}}, "expected figures of page-runtime bench, got none of cpu"),
         ([], "got a list or a value"),
     ):

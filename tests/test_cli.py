@@ -169,6 +169,22 @@ def test_bench_reports_every_stage_beside_the_papers(
     assert f"the network runs on cpu ({document['operators']['cpu']} operators)" in said
 
 
+def test_bench_times_a_region_where_the_recording_says_none(oracle_bundle: Path, tmp_path: Path) -> None:
+    recorded, _ = toy.toy_frame()
+    with RecordingWriter(tmp_path / "plain", category="box", part_names=("base", "lid")) as writer:
+        writer.write(RecordedFrame(recorded.frame))
+    (instance,) = recorded.instances
+    assert instance.region is not None
+    given = ["bench", str(tmp_path / "plain"), "--bundle", str(oracle_bundle), "--looks", "1", "--quiet"]
+    region = ",".join(map(str, instance.region))
+    assert main([*given, "--region", region, "--json", str(tmp_path / "b.json")]) == 0
+    document = json.loads((tmp_path / "b.json").read_text())
+    assert document["region"] == list(instance.region)
+    assert document["left_out"] == 0
+    assert set(document["stages"]) == STAGES
+    assert document["cold_start"]["first_estimate_ms"] > 0
+
+
 def test_bench_warms_up_on_frames_that_reach_the_network_and_counts_no_others(
     oracle_bundle: Path, tmp_path: Path
 ) -> None:

@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 # What must be the same for a comparison to mean anything.
 SAME = ("cpu", "threads", "recording_sha256", "looks")
+# The same, of documents that have it: null where the recording says where objects are.
+SAME_IF_SAID = ("region",)
 # Slower by more than this is a regression; windows of a stable run agree within as much.
 TOLERANCE = 0.10
 # Of a stage: a tenth of half a millisecond is nobody's concern.
@@ -44,7 +46,8 @@ def compare(one: dict[str, Any], other: dict[str, Any]) -> BenchComparison:
         missing = [name for name in (*SAME, "stages", "total", "stability") if name not in document]
         if missing:
             raise NotComparable(f"expected figures of page-runtime bench, got none of {', '.join(missing)}")
-    differ = [f"{name} ({one[name]} and {other[name]})" for name in SAME if one[name] != other[name]]
+    said = [(name, one.get(name), other.get(name)) for name in (*SAME, *SAME_IF_SAID)]
+    differ = [f"{name} ({ours} and {theirs})" for name, ours, theirs in said if ours != theirs]
     if differ:
         raise NotComparable(f"they differ in {', '.join(differ)}; measure both on the same machine and recording")
     changes = [_change(f"total {p}", one["total"], other["total"], p) for p in ("p50", "p95")]

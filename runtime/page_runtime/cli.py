@@ -148,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
             "--frames", metavar="N", type=accept.count, default=0, help="stop after N frames (default: all)"
         )
 
-    def common(sub: argparse.ArgumentParser, *, several: bool = False, required: bool = True) -> None:
+    def common(sub: argparse.ArgumentParser, *, several: bool = False, required: bool = True, looks: int = 3) -> None:
         bundle_help = (
             "the category's .onnx file; again for another category" if several else "the category's .onnx file"
         )
@@ -158,7 +158,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--threads", metavar="N", type=accept.threads, default=0, help=f"at most N threads (default: {default})"
         )
-        sub.add_argument("--looks", metavar="N", type=accept.count, default=3, help=looks_help)
+        sub.add_argument("--looks", metavar="N", type=accept.count, default=looks, help=looks_help)
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
         sub.add_argument("--provider", choices=PROVIDERS, default="auto", help=provider_help)
         provider_option_help = "of the provider, as onnxruntime names it; may be given several times"
@@ -172,7 +172,9 @@ def _parser() -> argparse.ArgumentParser:
     window_help = "colour and depth at most MS apart are a frame, where readings are stored or live (default: 20)"
     source_help = "a folder or file of RGB-D frames, or a camera: oak, oak:DEVICE"
     provider_help = "what onnxruntime runs the network on (default: auto, the best it has)"
-    looks_help = "at most N looks at a frame whose poses are unlikely (default: 3; 1: all frames take the same time)"
+    looks_help = (
+        "at most N looks at a frame whose poses are unlikely (default: %(default)s; 1: all frames take the same time)"
+    )
     validate_help = "compare estimates with the truth of recordings, of any format and of one category or several"
     overlay_help = "write a picture of every frame into DIR: boxes, axes, keypoints, reasons"
     run = command("run", "write one JSON line for every object in every frame", "source", source_help)
@@ -186,8 +188,7 @@ def _parser() -> argparse.ArgumentParser:
     limited(live)
     add_live_options(live)
     add_sink_options(live)
-    common(live)
-    live.set_defaults(looks=1)
+    common(live, looks=1)
     validate = commands.add_parser("validate", help="compare with the truth of recordings", description=validate_help)
     add_validate_options(validate, overlay_help)
     common(validate, several=True)

@@ -148,6 +148,10 @@ class Source:
         """What became of the readings: known before the first frame is read."""
         return self.pairing or whole(len(self.entries))
 
+    def with_region(self, region: Region) -> Source:
+        """The same frames with one object in each, there, whatever the source says of its objects."""
+        return replace(self, entries=tuple(replace(entry, instances=(Instance(region),)) for entry in self.entries))
+
     @property
     def has_regions(self) -> bool:
         """Whether any frame says where an object is."""

@@ -20,6 +20,7 @@ from page_runtime.machine import commit, governors, load_average
 from page_runtime.providers import ProviderChoice, short_name
 from page_runtime.recorded import Source
 from page_runtime.report.bench_page import bench_page
+from page_runtime.sampling import Region
 from page_runtime.sweep import VARIES, Sweep, run_sweep, sweep_from
 
 EXIT_REGRESSION = 1
@@ -31,6 +32,7 @@ def bench(
     bundle: Path | None,
     json: Path | None,
     report: Path | None,
+    region: Region | None,
     budget: Sequence[float],
     sweep: Sequence[str],
     compare: Sequence[Path] | None,
@@ -51,7 +53,9 @@ def bench(
     sweeps = _sweeps(sweep)
     if any(not 0 < one < float("inf") for one in budget):
         raise UsageError(f"--budget: expected milliseconds above 0, got {min(budget)}")
-    inputs = open_inputs(recording, bundle, threads=threads, looks=looks, on=on, window_s=window_s, command="bench")
+    inputs = open_inputs(
+        recording, bundle, region=region, threads=threads, looks=looks, on=on, window_s=window_s, command="bench"
+    )
     require_file_place(json, option="--json")
     require_file_place(report, option="--report")
     document, windows = _measured(inputs, recording, bundle, budget=budget, window_s=window_s, quiet=quiet)
@@ -82,12 +86,20 @@ def _measured(
         raise UsageError(f"{recording}: no frame has enough depth in its region to run the network; nothing to time")
     document = report(windows, threads=inputs.threads, budgets_ms=budget)
     try:
-        cold = cold_start(bundle, inputs.source.path, threads=inputs.threads, window_s=window_s)
+        cold = cold_start(
+            bundle,
+            inputs.source.path,
+            threads=inputs.threads,
+            looks=inputs.looks,
+            window_s=window_s,
+            region=inputs.region,
+        )
     except RuntimeError as error:
         raise UsageError(str(error)) from error
     document |= {
         "recording": Path(recording).name,
         "recording_sha256": sha256_of(inputs.source.path),
+        "region": inputs.region,
         "bundle": bundle.name,
         "bundle_sha256": sha256_of(bundle),
         "category": inputs.network.metadata.category.name,

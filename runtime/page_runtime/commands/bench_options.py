@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from page_runtime.commands import argument_types as accept
+
 
 def add_bench_options(parser: argparse.ArgumentParser) -> None:
     """All but what several commands share."""
-    parser.add_argument("recording", metavar="RECORDING", nargs="?", help="a folder of RGB-D frames with regions")
+    parser.add_argument("recording", metavar="RECORDING", nargs="?", help="a folder or file of RGB-D frames")
+    region_help = "where the object is in every frame, px; default: where the recording says"
+    parser.add_argument("--region", metavar="X,Y,W,H", type=accept.region, help=region_help)
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the figures here")
     parser.add_argument("--report", metavar="FILE", type=Path, help="write a page here, .html, with all in it")
     budget_help = "count estimates that take longer than so many milliseconds, beside the paper's 160"

@@ -52,14 +52,22 @@ def load_network(bundle: Path, *, threads: int, looks: int, on: ProviderChoice =
 
 
 def open_inputs(
-    source: str, bundle: Path, *, threads: int, looks: int, on: ProviderChoice, window_s: float, command: str
+    source: str,
+    bundle: Path,
+    *,
+    region: Region | None,
+    threads: int,
+    looks: int,
+    on: ProviderChoice,
+    window_s: float,
+    command: str,
 ) -> Inputs[Source]:
-    """Load a bundle and open a recording with regions; errors say what does not fit."""
+    """Load a bundle and open a recording, with `region` or its own regions; errors say what does not fit."""
     network, threads = load_network(bundle, threads=threads, looks=looks, on=on)
     opened = open_recorded(source, window_s=window_s, command=command)
     require_fitting(bundle, network, source, opened)
-    require_region(source, opened, None)
-    return Inputs(network, opened, threads, looks)
+    require_region(source, opened, region)
+    return Inputs(network, opened if region is None else opened.with_region(region), threads, looks, region)
 
 
 def require_fitting(bundle: Path, network: Network, name: str, source: FrameSource) -> None:
@@ -77,13 +85,15 @@ def require_category(knowing: Path, category: Category, name: str, source: Frame
         raise UsageError(f"{knowing} knows the parts {known}, but {name} has {found}")
 
 
-def require_region(name: str, source: FrameSource, region: Region | None) -> None:
-    """UsageError unless `region` lies in the pictures, or the source says where objects are."""
+def require_region(
+    name: str, source: FrameSource, region: Region | None, otherwise: str = "pass --region x,y,w,h"
+) -> None:
+    """UsageError unless `region` lies in the pictures, or the source says where objects are; otherwise: the way out."""
     if not isinstance(source, Source):
         return  # A camera's pictures have a size when the first one is there.
     if region is None:
         if not source.has_regions:
-            raise UsageError(f"{name}: this {source.format} does not say where the object is; pass --region x,y,w,h")
+            raise UsageError(f"{name}: this {source.format} does not say where the object is; {otherwise}")
     else:
         for width, height in {(entry.camera.width, entry.camera.height) for entry in source.entries}:
             require_inside(region, width, height)

@@ -113,7 +113,7 @@ def _studies(
         source = open_recorded(recording, window_s=window_s, command="validate")
         path, network, bundle_sha256 = _bundle_of(recording, source, known)
         require_fitting(path, network, recording, source)
-        require_region(recording, source, None)
+        require_region(recording, source, None, otherwise="validate needs regions and true poses")
         if not source.has_truth:
             raise UsageError(f"{recording}: this {source.format} has no true poses to compare with")
         sha256, category = sha256_of(source.path), network.metadata.category
