@@ -55,6 +55,31 @@ def test_a_part_taken_for_its_half_turn_is_turned_back(wrong: int, turn: int) ->
         assert joined.joints[0].value == pytest.approx(state, abs=0.5)
 
 
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_a_half_turn_about_the_hinge_is_told_by_its_limits(wrong: int) -> None:
+    category = chain(("revolute",))
+    for seed in range(10):
+        parts, state = hinged(seed)
+        given_ = [turned(part, HALF_TURNS[0]) if k == wrong else part for k, part in enumerate(parts)]
+        found = [one for one in settle(category, [[part] for part in given_]) if one is not None]
+        assert [one.turned for one in found] == [k == wrong for k in range(2)]
+        assert articulate(category, [one.evidence for one in found]).joints[0].value == pytest.approx(state, abs=0.5)
+
+
+@given(st.integers(0, 10_000), st.sampled_from([0, 1]))
+@settings(max_examples=60, deadline=None)
+def test_a_half_turn_that_explains_nothing_is_not_taken(seed: int, wrong: int) -> None:
+    category = chain(("revolute",))
+    parts, _ = hinged(seed)
+    astray = parts[wrong].T_camera_part.copy()
+    astray[:3, :3] = random_pose(np.random.default_rng(seed + 1))[:3, :3]
+    parts[wrong] = replace(parts[wrong], T_camera_part=astray)
+    found = [one for one in settle(category, [[part] for part in parts]) if one is not None]
+    if any(one.turned for one in found):
+        (joint,) = articulate(category, [one.evidence for one in found]).joints
+        assert joint.reason == ""
+
+
 def test_of_two_poses_the_joint_decides() -> None:
     category = chain(("revolute",))
     for seed in range(10):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
-from page_runtime.equivalents import nearest_truths
+from page_runtime.equivalents import nearest_renaming, nearest_truths, renamed_pose
 from page_runtime.evaluation import joint_errors, part_errors
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose
@@ -111,6 +111,21 @@ def test_the_state_of_a_joint_about_a_symmetric_parent_turns_back() -> None:
     pose = estimated(arm, (first, *truths[1:]), states)
     assert max(e.rotation_rad or 0.0 for e in part_errors(arm, pose, truths)) < 1e-7
     assert max(e.error or 0.0 for e in joint_errors(arm, pose, truths)) < 1e-7
+
+
+@pytest.mark.parametrize("fold", [2, 3, 6, 0])
+def test_a_symmetric_part_has_the_same_box_after_its_turn(fold: int) -> None:
+    arm = category_named("arm")
+    axis = (0.0, 0.0, 1.0)
+    arm = replace(arm, parts=(*arm.parts[:6], replace(arm.parts[6], symmetry=Symmetry(axis, fold))))
+    truths, poses = scene_pose(arm, np.random.default_rng(3))
+    turn = rotation_about(np.array(axis), 2 * np.pi / (fold or 5))
+    wanted = [*poses[:6], poses[6] @ transform_from(turn, np.zeros(3))]
+    pose = estimated(arm, truths, states_of(arm, truths))
+    (*_, hand) = renamed_pose(arm, pose, nearest_renaming(arm, poses, wanted)).parts
+    assert isinstance(hand, PartPose)
+    np.testing.assert_allclose(hand.T_camera_part, wanted[6], atol=1e-9)
+    np.testing.assert_allclose(hand.extents_m, truths[6].extents_m)
 
 
 def test_scissors_turned_over_with_their_blades_renamed_are_the_same() -> None:

@@ -8,7 +8,7 @@ the neighbour's own radii say little, and errors do not grow along a chain.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from page_runtime.category import Category, Joint
 from page_runtime.geometry import Array, transform_from
-from page_runtime.joints import Residual, joint_residual, joint_state, opposed
+from page_runtime.joints import Residual, joint_residual, joint_state, opposed, zero_variance
 from page_runtime.pose import JointState
 from page_runtime.similarity import FloatArray, Similarities, inverse_left_jacobian, so3_log
 
-# Root mean square of a joint's residuals in their standard deviations above which its parts contradict each other.
+# Root mean square of a joint's residuals, or excess of its state over a limit, in standard deviations, above which
+# its parts contradict each other.
 CONTRADICTION = 3.5
 _LIMIT_SIGMA = {"revolute": 0.01, "prismatic": 0.002, "free": 1.0}
 _ROUNDS = 5
@@ -72,13 +73,17 @@ class _Object:
         rows = self.rows(joint)
         return joint_state(joint, poses.take(np.array(rows)), self.extents_unit[rows])
 
+    def zero_variance(self, joint: Joint) -> float:
+        return zero_variance(joint, self.start.take(np.array(self.rows(joint))))
+
 
 def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Articulation:
     """Poses of all parts that the joints allow, and the joints' states.
 
     parts: in the category's order, None for one without a pose. A joint one of whose parts is missing, or whose parts
-    contradict each other, changes nothing and says why. A state beyond its limits is drawn back to them. Raises
-    ValueError for another number of parts than the category's.
+    contradict each other or its limits, changes nothing and says why. A state a little beyond its limits draws the
+    parts back, as far as the limit is surer than their poses, and is told as the limit. Raises ValueError for another
+    number of parts than the category's.
     """
     if len(parts) != len(category.parts):
         raise ValueError(f"parts: expected {len(category.parts)}, as the category has, got {len(parts)}")
@@ -88,21 +93,30 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
         return Articulation(tuple(parts), states)
     whole = _object([k for k, _ in seen], [part for _, part in seen])
     missing = {joint.name: _missing(joint, category, list(whole.row_of)) for joint in category.joints}
-    apart = {
-        joint.name: joint_disagreement(joint, *(_given(parts[k]) for k in (joint.parent, joint.child)))[0]
+    pairs = {
+        joint.name: (_given(parts[joint.parent]), _given(parts[joint.child]))
         for joint in category.joints
         if not missing[joint.name] and joint.kind != "free"
     }
+    judged = [joint for joint in category.joints if joint.name in pairs]
+    off = {joint.name: joint_disagreement(joint, *pairs[joint.name])[0] for joint in judged}
+    beyond = {joint.name: limit_excess(joint, *pairs[joint.name]) for joint in judged}
+    apart = {joint.name: max(off[joint.name], beyond[joint.name]) for joint in judged}
     reasons = missing | {
-        joint.name: _contradiction(joint, category)
-        for joint in category.joints
-        if not apart.get(joint.name, 0.0) <= CONTRADICTION
+        joint.name: (_out_of_limits if off[joint.name] <= CONTRADICTION else _contradiction)(joint, category)
+        for joint in judged
+        if not apart[joint.name] <= CONTRADICTION
     }
-    coupling = [joint for joint in category.joints if not reasons[joint.name] and joint.kind != "free"]
-    poses, covariance = _solved(whole, coupling, ())
-    limited = tuple(joint for joint in coupling if _beyond(joint, whole.state(joint, poses)[0]))
-    if limited:
-        poses, covariance = _solved(whole, coupling, limited)
+    coupling = [joint for joint in judged if not reasons[joint.name]]
+    held: dict[str, float] = {}
+    while True:
+        poses, covariance = _solved(whole, coupling, held)
+        states_now = {joint.name: whole.state(joint, poses)[0] for joint in coupling}
+        outside = [joint for joint in coupling if joint.name not in held and _beyond(joint, states_now[joint.name])]
+        if not outside:
+            break
+        # One that is held may push another out.
+        held |= {joint.name: _nearest_limit(joint, states_now[joint.name]) for joint in outside}
     consistent: list[PartEvidence | None] = list(parts)
     for k, row in whole.row_of.items():
         own = slice(_SIZE * row, _SIZE * (row + 1))
@@ -118,8 +132,11 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
         if not state.reason:
             value, derivative = whole.state(joint, poses)
             columns = whole.columns(joint)
-            sigma = float(np.sqrt(derivative @ covariance[np.ix_(columns, columns)] @ derivative))
-            state = replace(state, value=value, sigma=sigma)
+            moving = derivative @ covariance[np.ix_(columns, columns)] @ derivative
+            zero = whole.zero_variance(joint)
+            if joint.kind != "free":
+                value = float(np.clip(value, *joint.limits))
+            state = replace(state, value=value, sigma=float(np.sqrt(moving + zero)), zero_sigma=float(np.sqrt(zero)))
         states.append(replace(state, disagreement=apart.get(joint.name)))
     return Articulation(tuple(consistent), tuple(states))
 
@@ -140,15 +157,15 @@ def joint_disagreement(joint: Joint, parent: PartEvidence, child: PartEvidence) 
 
 def limit_excess(joint: Joint, parent: PartEvidence, child: PartEvidence) -> float:
     """How far the state of two parts' own poses lies beyond the joint's limits, in standard deviations of both
-    covariances and of what a limit is sure to; 0 within them."""
-    value, derivative = joint_state(
-        joint, _similarities((parent, child)), np.array([parent.extents_unit, child.extents_unit])
-    )
+    covariances, of the joint's zero and of what a limit is sure to; 0 within them."""
+    pair = _similarities((parent, child))
+    value, derivative = joint_state(joint, pair, np.array([parent.extents_unit, child.extents_unit]))
     if not _beyond(joint, value):
         return 0.0
     by_parent, by_child = derivative[:_SIZE], derivative[_SIZE:]
     variance = by_parent @ parent.covariance @ by_parent + by_child @ child.covariance @ by_child
-    return abs(value - _nearest_limit(joint, value)) / float(np.sqrt(variance + _LIMIT_SIGMA[joint.kind] ** 2))
+    variance += zero_variance(joint, pair) + _LIMIT_SIGMA[joint.kind] ** 2
+    return abs(value - _nearest_limit(joint, value)) / float(np.sqrt(variance))
 
 
 def _given(part: PartEvidence | None) -> PartEvidence:
@@ -186,13 +203,22 @@ def _contradiction(joint: Joint, category: Category) -> str:
     return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
 
 
+def _out_of_limits(joint: Joint, category: Category) -> str:
+    parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
+    return f"the poses of {parent} and {child} contradict the joint's limits: its state would lie far beyond them"
+
+
 def _solved(
-    whole: _Object, joints: Sequence[Joint], limited: Sequence[Joint]
+    whole: _Object, joints: Sequence[Joint], held: Mapping[str, float]
 ) -> tuple[Similarities, NDArray[np.float64]]:
-    """Most probable poses under radii and joints, those of `limited` held at the limit they overstep; and the
-    covariance (7K,7K) of their steps."""
+    """Most probable poses under radii and joints, those of `held` at their limit; and the covariance (7K,7K) of their
+    steps."""
     poses, hessian = whole.start, whole.information
-    held = {joint.name: _nearest_limit(joint, whole.state(joint, poses)[0]) for joint in limited}
+    limited = [
+        (joint, 1.0 / np.sqrt(whole.zero_variance(joint) + _LIMIT_SIGMA[joint.kind] ** 2))
+        for joint in joints
+        if joint.name in held
+    ]
     for _ in range(_ROUNDS if joints else 0):
         offset, by_step = _offset(poses, whole.start)
         hessian = by_step.T @ whole.information @ by_step
@@ -201,11 +227,11 @@ def _solved(
             residual, columns = whole.residual(joint, poses), whole.columns(joint)
             hessian[np.ix_(columns, columns)] += residual.jacobian.T @ residual.jacobian
             gradient[columns] += residual.jacobian.T @ residual.value
-        for joint in limited:
+        for joint, surety in limited:
             (value, derivative), columns = whole.state(joint, poses), whole.columns(joint)
-            derivative = derivative / _LIMIT_SIGMA[joint.kind]
+            derivative = derivative * surety
             hessian[np.ix_(columns, columns)] += np.outer(derivative, derivative)
-            gradient[columns] += derivative * ((value - held[joint.name]) / _LIMIT_SIGMA[joint.kind])
+            gradient[columns] += derivative * ((value - held[joint.name]) * surety)
         steps = np.asarray(np.linalg.solve(hessian, gradient), np.float64)
         poses = poses.moved(-steps.reshape(-1, _SIZE))
     return poses, np.asarray(np.linalg.inv(hessian), np.float64)

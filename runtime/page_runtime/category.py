@@ -154,6 +154,10 @@ class Category:
                 f"Category {self.name!r}: expected as many keypoints in every part and 3 <= num_voted <= that, "
                 f"got {sorted(counts)} keypoints and num_voted {self.num_voted}"
             )
+        if len({joint.name for joint in self.joints}) != len(self.joints):
+            raise ValueError(
+                f"Category {self.name!r}: expected a name for each joint, got {[joint.name for joint in self.joints]}"
+            )
         for joint in self.joints:
             if not {joint.parent, joint.child} <= set(range(len(self.parts))):
                 raise ValueError(f"Joint {joint.name!r}: {joint.parent} or {joint.child} is no part index")

@@ -23,10 +23,13 @@ _UNKNOWN_RAD = 0.5 * np.pi
 @dataclass(frozen=True, eq=False, slots=True)
 class Renaming:
     """Another description of an object that looks the same: part k is what was called part order[k], its frame turned
-    by turns[k], T' = T turns[k] (K,3,3). Joint j takes the state of joint joints[j], and offsets_rad[j] on top."""
+    by turns[k], T' = T turns[k] (K,3,3). Joint j takes the state of joint joints[j], and offsets_rad[j] on top.
+    box_turns (K,3,3): what its box is turned by, which is not what a symmetric part is: that has the same box after it.
+    """
 
     order: tuple[int, ...]
     turns: Array
+    box_turns: Array
     joints: tuple[int, ...]
     offsets_rad: tuple[float, ...]
 
@@ -79,14 +82,16 @@ def nearest_renaming(
 
 def _own(category: Category) -> Renaming:
     parts, joints = len(category.parts), len(category.joints)
-    return Renaming(tuple(range(parts)), np.tile(np.eye(3), (parts, 1, 1)), tuple(range(joints)), (0.0,) * joints)
+    still = np.tile(np.eye(3), (parts, 1, 1))
+    return Renaming(tuple(range(parts)), still, still, tuple(range(joints)), (0.0,) * joints)
 
 
 def interchanged(category: Category) -> Renaming:
     """The parts renamed as the category allows it."""
     assert category.interchange is not None
     turns = np.tile(category.interchange.turn, (len(category.parts), 1, 1))
-    return Renaming(category.interchange.parts, turns, category.interchanged_joints, (0.0,) * len(category.joints))
+    joints = category.interchanged_joints
+    return Renaming(category.interchange.parts, turns, turns, joints, (0.0,) * len(joints))
 
 
 def _turned(
@@ -112,8 +117,10 @@ def renamed_pose(category: Category, pose: ArticulatedPose, renaming: Renaming) 
     if renaming.changes_nothing:
         return pose
     parts = tuple(
-        _renamed_part(pose.parts[other], spec, turn)
-        for other, spec, turn in zip(renaming.order, category.parts, renaming.turns, strict=True)
+        _renamed_part(pose.parts[other], spec, turn, box_turn)
+        for other, spec, turn, box_turn in zip(
+            renaming.order, category.parts, renaming.turns, renaming.box_turns, strict=True
+        )
     )
     seen = [k for k, part in enumerate(parts) if isinstance(part, PartPose)]
     joints: list[JointState] = []
@@ -131,8 +138,8 @@ def _whole_turns_off(angle_rad: float, joint: Joint) -> float:
     return angle_rad - 2.0 * np.pi * round((angle_rad - middle) / (2.0 * np.pi))
 
 
-def _renamed_part(part: PartPose | NotSeen, spec: Part, turn: Array) -> PartPose | NotSeen:
-    return replace(part, name=spec.name) if isinstance(part, NotSeen) else turned_part(part, spec, turn)
+def _renamed_part(part: PartPose | NotSeen, spec: Part, turn: Array, box_turn: Array) -> PartPose | NotSeen:
+    return replace(part, name=spec.name) if isinstance(part, NotSeen) else turned_part(part, spec, turn, box_turn)
 
 
 def turned_extents(extents: Array, turn: Array) -> Array:
@@ -140,10 +147,10 @@ def turned_extents(extents: Array, turn: Array) -> Array:
     return np.sqrt((turn**2).T @ extents**2)
 
 
-def turned_part(part: PartPose, spec: Part, turn: Array) -> PartPose:
-    """The pose as that of `spec`, its frame turned: T' = T turn."""
+def turned_part(part: PartPose, spec: Part, turn: Array, box_turn: Array) -> PartPose:
+    """The pose as that of `spec`, its frame turned: T' = T turn, and its box by `box_turn`."""
     T_camera_part = part.T_camera_part @ transform_from(turn, np.zeros(3))
-    extents_m = turned_extents(part.extents_m, turn)
+    extents_m = turned_extents(part.extents_m, box_turn)
     keypoints_camera = apply(T_camera_part, float(np.linalg.norm(extents_m)) * spec.keypoints_unit)
     return replace(
         part,

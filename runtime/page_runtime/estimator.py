@@ -58,11 +58,13 @@ def estimate(
 @dataclass(frozen=True, eq=False, slots=True)
 class Examined:
     """An estimate, and what it was made of; None where the region has too little depth. labelled: the points of the
-    look whose answer was taken, as the camera sees them. sample, output: of the first look, whichever was taken."""
+    look whose answer was taken, as the camera sees them. sample, output, first_pose: of the first look, whichever was
+    taken."""
 
     pose: ArticulatedPose
     sample: RegionSample | None = None
     output: NetworkOutput | None = None
+    first_pose: ArticulatedPose | None = None
     labelled: LabelledPoints | None = None
 
 
@@ -133,7 +135,7 @@ def examined(
     if sample is None or output is None:
         return Examined(replace(not_seen(metadata.category, first_look.reason), stage_ms=watch.stage_ms))
     pose = pose_from_output(metadata, sample, output, watch, max_voters=max_voters)
-    first, labelled = (sample, output), labelled_points(sample, output)
+    first, labelled = (sample, output, pose), labelled_points(sample, output)
     if not metadata.mirrored or metadata.confidence is None:
         return Examined(pose, *first, labelled)
     looks = 1

@@ -57,8 +57,9 @@ class IcpResult:
     """What became of a pose. T_camera_part: (4,4) rigid, scale_m, extents_m (3,) full sizes of the stretched template's
     box, and covariance, of the shape it was given in: the refined ones if `accepted`, else those that went in.
 
-    residual_before_m, residual_after_m: root mean square distance from the nearest _TRIM of the points to the template,
-    before and at the last step, inf where there was nothing to compare. reason: a sentence, empty if accepted.
+    residual_before_m, residual_after_m: root mean square distance to the template from the nearest _TRIM of the points
+    within the gate, before and at the last step, inf where there was nothing to compare. reason: a sentence, empty if
+    accepted.
     """
 
     T_camera_part: FloatArray

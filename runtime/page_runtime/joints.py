@@ -69,6 +69,17 @@ def joint_state(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> t
     return middle + float(np.remainder(angle - middle + np.pi, 2.0 * np.pi)) - np.pi, derivative
 
 
+def zero_variance(joint: Joint, pair: Similarities) -> float:
+    """m^2: how uncertain a slide's zero is, which lies elsewhere on every object; 0 for joints that turn.
+
+    The same in every frame of an object, so no covariance of its parts' poses holds it.
+    """
+    if joint.kind != "prismatic" or joint.geometry is None:
+        return 0.0
+    along = np.array([joint.geometry.sigma_parent, joint.geometry.sigma_child]) * np.array(joint.axis)
+    return float(np.square(pair.s[:, None] * along).sum())
+
+
 def turned_about(axis: FloatArray, R: FloatArray) -> float:
     """The angle, rad in (-pi, pi], of the turn about a unit axis (3,) that is nearest to a rotation R (3,3)."""
     twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])

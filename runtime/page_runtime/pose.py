@@ -53,9 +53,10 @@ class NotSeen:
 @dataclass(frozen=True, slots=True)
 class JointState:
     """One joint of the object. value: rad of a revolute joint, m of a prismatic one, the angle between the parts [rad]
-    of a free one; None if there is none and `reason` says why. sigma: its standard deviation, the same unit. limits:
-    those of the category. disagreement: how far the parts' own poses were from what the joint allows, root mean square
-    in standard deviations; None when a part is missing or nothing couples them."""
+    of a free one; None if there is none and `reason` says why. sigma: its standard deviation, the same unit;
+    zero_sigma: what of it is the same in every frame of an object, as a slide's zero lies elsewhere on each. limits:
+    those of the category. disagreement: how far the parts' own poses were from what the joint and its limits allow, in
+    standard deviations; None when a part is missing or nothing couples them."""
 
     name: str
     kind: JointKind
@@ -64,6 +65,7 @@ class JointState:
     limits: tuple[float, float]
     reason: str = ""
     disagreement: float | None = None
+    zero_sigma: float = 0.0
 
     @property
     def unit(self) -> str:

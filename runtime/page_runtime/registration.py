@@ -199,13 +199,14 @@ def _evidence(part: Observed) -> Evidence | str:
 def _result(poses: Similarities, attempt: _Attempt, ratio: float) -> Registration | Ambiguous | str:
     """Of the best pose, and a second where it is as good."""
     low, high = attempt.scale_range_m
-    if not low <= poses.s[0] <= high:
+    fitting = np.flatnonzero((poses.s >= low) & (poses.s <= high))
+    if not len(fitting):
         return f"the refined scale {poses.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
-    best = _registration(poses.take(np.array([0])), attempt.evidence, ratio)
-    if len(poses) == 1:
+    best = _registration(poses.take(fitting[:1]), attempt.evidence, ratio)
+    if len(fitting) == 1:
         return best
     return Ambiguous(
-        (best, _registration(poses.take(np.array([1])), attempt.evidence, 1.0)),
+        (best, _registration(poses.take(fitting[1:2]), attempt.evidence, 1.0)),
         f"ambiguous: another pose has {ratio:.3f} of this one's support, and neither box nor sides decide",
     )
 

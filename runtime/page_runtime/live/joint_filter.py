@@ -35,14 +35,16 @@ def joint_measured(before: JointMotion | None, state: JointState, time_s: float)
     """The joint with one more measured state, which is not before its last one; as it was where there is none."""
     if state.value is None or state.sigma is None:
         return before
+    # Where a slide's zero lies is the same error in every frame: no measurement is the worse for it beside the others.
+    variance = state.sigma**2 - state.zero_sigma**2
     if before is None:
-        covariance = np.diag([state.sigma**2, START_RATE[state.kind] ** 2])
+        covariance = np.diag([variance, START_RATE[state.kind] ** 2])
         return JointMotion(state.kind, np.array([state.value, 0.0]), covariance, time_s)
     now = joint_predicted(before, time_s)
-    off, spread = state.value - now.mean[0], now.covariance[0, 0] + state.sigma**2
+    off, spread = state.value - now.mean[0], now.covariance[0, 0] + variance
     forgotten = float(np.clip(off * off / spread / _SURPRISE, 1.0, _MOST_SURPRISE))
     prior = now.covariance * forgotten
-    gain = prior[:, 0] / (prior[0, 0] + state.sigma**2)
+    gain = prior[:, 0] / (prior[0, 0] + variance)
     return JointMotion(state.kind, now.mean + gain * off, prior - np.outer(gain, prior[0]), time_s)
 
 

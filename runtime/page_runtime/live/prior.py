@@ -126,7 +126,8 @@ def _owners(prior: Prior, points_camera: NDArray[np.float32]) -> NDArray[np.intp
 
 def _renamed(prior: Prior, category: Category, renaming: Renaming) -> Prior:
     parts: list[PartPrior | None] = []
-    for spec, other, turn in zip(category.parts, renaming.order, renaming.turns, strict=True):
+    turns = zip(renaming.turns, renaming.box_turns, strict=True)
+    for spec, other, (turn, box_turn) in zip(category.parts, renaming.order, turns, strict=True):
         part = prior.parts[other]
         if part is None:
             parts.append(None)
@@ -134,10 +135,10 @@ def _renamed(prior: Prior, category: Category, renaming: Renaming) -> Prior:
         evidence = replace(
             part.evidence,
             T_camera_part=part.evidence.T_camera_part @ transform_from(turn, np.zeros(3)),
-            extents_unit=turned_extents(part.evidence.extents_unit, turn),
+            extents_unit=turned_extents(part.evidence.extents_unit, box_turn),
         )
         surface = replace(part.surface, points=(part.surface.points @ turn).astype(np.float32))
-        parts.append(PartPrior(evidence, turned_part(part.last, spec, turn), surface))
+        parts.append(PartPrior(evidence, turned_part(part.last, spec, turn, box_turn), surface))
     return replace(prior, parts=tuple(parts))
 
 

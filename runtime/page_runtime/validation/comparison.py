@@ -75,8 +75,9 @@ def compare_frame(
         part, joints = part_errors(category, pose, instance.truths), joint_errors(category, pose, instance.truths)
         radius_m: dict[str, float] = {}
         found: Segmentation | None = None
-        if sample is not None and output is not None:
-            nearest = nearest_description(category, pose, instance.truths)
+        if sample is not None and output is not None and examined.first_pose is not None:
+            # Which of two parts that look alike is which, each look says anew.
+            nearest = nearest_description(category, examined.first_pose, instance.truths)
             radius_m = radius_errors(category, sample, output, nearest)
             if masks is not None and masks.known(index, i):
                 part_map = masks.part_map(index, i, recorded.frame.depth_m.shape)
