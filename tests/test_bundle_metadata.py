@@ -72,7 +72,7 @@ def test_figures_survive_the_round_trip_and_are_of_known_parts(metadata: BundleM
         (lambda d: d["joints"][0].update(axis=[0, 0, 0]), "expected a unit vector"),
         (lambda d: d["joints"][0].update(limits=[1, 0]), "low <= high"),
         (lambda d: d["joints"].append(d["joints"][0] | {"name": "other"}), "a second parent"),
-        (lambda d: d["joints"].append(d["joints"][0] | {"parent": 1, "child": 0}), "a loop"),
+        (lambda d: d["joints"].append(d["joints"][0] | {"parent": 1, "child": 0, "name": "other"}), "a loop"),
         (lambda d: d["joints"][0]["geometry"].update(log_size_ratio=float("nan")), "finite"),
         (lambda d: d.update(num_points="2048"), "num_points: expected a whole number, got '2048'"),
         (lambda d: d.update(num_points=2048.5), "num_points: expected a whole number, got 2048.5"),
