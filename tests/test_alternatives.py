@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from page_runtime.alternatives import settle
 from page_runtime.articulation import PartEvidence, articulate
-from page_runtime.geometry import Array
-from test_articulation import SIGMAS, chain, evidence, posed, random_pose
+from page_runtime.geometry import Array, rotation_about, transform_from
+from page_runtime.symmetry import Symmetry
+from test_articulation import EXTENTS, SIGMAS, SIZE_M, chain, evidence, posed, random_pose
 
 HALF_TURNS = [np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]
 
@@ -64,6 +65,34 @@ def test_a_half_turn_about_the_hinge_is_told_by_its_limits(wrong: int) -> None:
         found = [one for one in settle(category, [[part] for part in given_]) if one is not None]
         assert [one.turned for one in found] == [k == wrong for k in range(2)]
         assert articulate(category, [one.evidence for one in found]).joints[0].value == pytest.approx(state, abs=0.5)
+
+
+@pytest.mark.parametrize("fold", [2, 3, 0])
+def test_a_symmetric_part_is_called_what_its_limits_allow(fold: int) -> None:
+    category = chain(("revolute",), limits=(0.2, 1.6))
+    symmetric = replace(category.parts[1], symmetry=Symmetry((1.0, 0.0, 0.0), fold))
+    category = replace(category, parts=(category.parts[0], symmetric))
+    (joint,) = category.joints
+    assert joint.geometry is not None
+    # A part that looks the same turned about its hinge has it in its middle.
+    category = replace(
+        category, joints=(replace(joint, geometry=replace(joint.geometry, pivot_child=(0.0, 0.0, 0.0))),)
+    )
+    (joint,) = category.joints
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        parent = random_pose(rng)
+        pivot = SIZE_M * EXTENTS * np.array(joint.geometry.pivot_parent if joint.geometry else 0.0)
+        child = parent @ transform_from(rotation_about(np.array(joint.axis), 0.9), pivot)
+        turn = rotation_about(np.array([1.0, 0.0, 0.0]), 2 * np.pi / (fold or 2))
+        given_ = [evidence(parent, SIGMAS), evidence(child @ transform_from(turn, np.zeros(3)), SIGMAS)]
+        found = [one for one in settle(category, [[part] for part in given_]) if one is not None]
+        assert not any(one.turned for one in found)
+        (state,) = articulate(category, [one.evidence for one in found]).joints
+        assert state.value is not None
+        assert joint.limits[0] <= state.value <= joint.limits[1]
+        assert fold == 0 or state.value == pytest.approx(0.9, abs=1e-6)
+        np.testing.assert_array_equal(found[0].evidence.T_camera_part, parent)
 
 
 @given(st.integers(0, 10_000), st.sampled_from([0, 1]))

@@ -3,7 +3,8 @@
 A part may come with two poses between which its own evidence does not decide. And a network that mistakes the front of
 a part for its back is sure of a pose that is a half turn wrong: the part's box stays where it is, so nothing of the
 part itself objects, but its neighbour on the hinge does. Each part's poses and their half turns are tried together, and
-the cheapest combination is taken; a half turn must explain much more than it costs.
+the cheapest combination is taken; a half turn must explain much more than it costs. What a symmetric part looks the
+same after costs nothing: of a gripper's two ways to be called the same, its joint's limits may allow but one.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from page_runtime.articulation import CONTRADICTION, PartEvidence, joint_disagreement, limit_excess
 from page_runtime.category import Category, Joint
 from page_runtime.similarity import FloatArray
+from page_runtime.symmetry import Symmetry, turn_of
 
 # Costs are squared deviations: those of a joint, of at most _MOST, or a half turn's own.
 _HALF_TURN = 30.0
@@ -24,6 +26,8 @@ _MOST = 400.0
 # Between two poses the joints decide when they differ by this.
 _MARGIN = 9.0
 _MAX_COMBINATIONS = 2**16
+# Of a part that looks the same after any turn, so many are tried.
+_ANY_TURNS = 12
 _HALF_TURNS = tuple(np.diag(signs) for signs in ((1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (-1.0, -1.0, 1.0)))
 
 
@@ -51,7 +55,10 @@ def settle(category: Category, poses: Sequence[Sequence[PartEvidence]]) -> tuple
     if not joints or not (unclear or contradicted):
         return first
     doubtful = {k for joint in contradicted for k in (joint.parent, joint.child)}
-    options = [_options(own, with_turns=k in doubtful) for k, own in enumerate(poses)]
+    options = [
+        _options(own, part.symmetry, with_turns=k in doubtful)
+        for k, (own, part) in enumerate(zip(poses, category.parts, strict=True))
+    ]
     if np.prod([max(1, len(own)) for own in options], dtype=float) > _MAX_COMBINATIONS:
         options = [own[: len(given)] for own, given in zip(options, poses, strict=True)]
     total = _total_cost(joints, options)
@@ -68,9 +75,16 @@ def settle(category: Category, poses: Sequence[Sequence[PartEvidence]]) -> tuple
     return tuple(settled)
 
 
-def _options(own: Sequence[PartEvidence], *, with_turns: bool) -> list[Settled]:
-    """The poses given, then their half turns about the part's own axes."""
+def _options(own: Sequence[PartEvidence], symmetry: Symmetry | None, *, with_turns: bool) -> list[Settled]:
+    """The poses given, then those that look the same, then their half turns about the part's own axes."""
     options = [Settled(evidence, index, turned=False, decided=False) for index, evidence in enumerate(own)]
+    if with_turns and symmetry is not None:
+        count = symmetry.fold or _ANY_TURNS
+        options += [
+            Settled(_turned(evidence, turn_of(symmetry, 2.0 * np.pi * k / count)), index, turned=False, decided=False)
+            for index, evidence in enumerate(own)
+            for k in range(1, count)
+        ]
     if with_turns:
         options += [
             Settled(_turned(evidence, turn), index, turned=True, decided=False)
