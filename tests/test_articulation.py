@@ -176,11 +176,10 @@ def test_a_limit_that_pushes_another_joint_out_holds_that_one_too() -> None:
     for seed in range(10):
         truth = posed(category, [-0.3, 0.02], random_pose(np.random.default_rng(seed)))
         found = articulate(category, [evidence(T, SIGMAS) for T in truth])
-        parts = [part for part in found.parts if part is not None]
-        poses = [Similarities(p.T_camera_part[None, :3, :3], p.T_camera_part[None, :3, 3], np.ones(1)) for p in parts]
+        T = np.array([part.T_camera_part for part in found.parts if part is not None], np.float64)
+        poses = Similarities(T[:, :3, :3], T[:, :3, 3], np.full(len(T), SIZE_M))
         for joint, state in zip(category.joints, found.joints, strict=True):
-            both = (poses[joint.parent], poses[joint.child])
-            pair = Similarities(*(np.concatenate([getattr(one, name) for one in both]) for name in ("R", "t", "s")))
+            pair = poses.take(np.array([joint.parent, joint.child]))
             assert joint_state(joint, pair, np.array([EXTENTS, EXTENTS]))[0] > -0.02
             assert state.value == pytest.approx(0.0, abs=0.02)
 

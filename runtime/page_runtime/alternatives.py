@@ -17,6 +17,7 @@ import numpy as np
 
 from page_runtime.articulation import CONTRADICTION, PartEvidence, joint_disagreement, limit_excess
 from page_runtime.category import Category, Joint
+from page_runtime.geometry import Array
 from page_runtime.similarity import FloatArray
 from page_runtime.symmetry import Symmetry, turn_of
 
@@ -94,7 +95,7 @@ def _options(own: Sequence[PartEvidence], symmetry: Symmetry | None, *, with_tur
     return options
 
 
-def _turned(evidence: PartEvidence, turn: FloatArray) -> PartEvidence:
+def _turned(evidence: PartEvidence, turn: Array) -> PartEvidence:
     T = evidence.T_camera_part.copy()
     T[:3, :3] = T[:3, :3] @ turn
     return replace(evidence, T_camera_part=T)
