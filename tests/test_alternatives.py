@@ -95,6 +95,18 @@ def test_a_symmetric_part_is_called_what_its_limits_allow(fold: int) -> None:
         np.testing.assert_array_equal(found[0].evidence.T_camera_part, parent)
 
 
+@pytest.mark.parametrize("overstepped", [4.0, 5.0, 6.0])
+def test_a_limit_overstepped_by_little_turns_nothing_about(overstepped: float) -> None:
+    category = chain(("revolute",), limits=(0.0, 2.9))
+    # Of the angle between two parts, and of what a limit is sure to.
+    sigma = float(np.hypot(np.sqrt(2) * SIGMAS[0], 0.01))
+    for seed in range(10):
+        truth = posed(category, [-overstepped * sigma], random_pose(np.random.default_rng(seed)))
+        parts = [evidence(T, SIGMAS) for T in truth]
+        found = [one for one in settle(category, [[part] for part in parts]) if one is not None]
+        assert [one.evidence for one in found] == parts
+
+
 @given(st.integers(0, 10_000), st.sampled_from([0, 1]))
 @settings(max_examples=60, deadline=None)
 def test_a_half_turn_that_explains_nothing_is_not_taken(seed: int, wrong: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -105,6 +107,19 @@ def test_time_does_not_run_backwards() -> None:
 
 def state(value: float | None, sigma: float | None = 0.02) -> JointState:
     return JointState("hinge", "revolute", value, None if value is None else sigma, (0.0, 3.0))
+
+
+def test_where_a_slides_zero_lies_does_not_slow_what_follows_it() -> None:
+    sure = replace(state(0.1, 0.002), kind="prismatic")
+    unsure = replace(sure, sigma=float(np.hypot(0.002, 0.04)), zero_sigma=0.04)
+    one: JointMotion | None = None
+    other: JointMotion | None = None
+    for k in range(10):
+        one = joint_measured(one, replace(sure, value=0.1 + 0.004 * k), k * PERIOD_S)
+        other = joint_measured(other, replace(unsure, value=0.1 + 0.004 * k), k * PERIOD_S)
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(other.mean, one.mean, rtol=1e-9)
 
 
 def test_a_joint_that_moves_evenly_is_followed_with_its_rate_and_one_without_a_state_stays_as_it_was() -> None:

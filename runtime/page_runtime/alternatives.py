@@ -52,7 +52,7 @@ def settle(category: Category, poses: Sequence[Sequence[PartEvidence]]) -> tuple
     joints = [joint for joint in category.joints if joint.kind != "free" and poses[joint.parent] and poses[joint.child]]
     first = tuple(None if not own else Settled(own[0], 0, turned=False, decided=len(own) == 1) for own in poses)
     unclear = any(len(own) > 1 for own in poses)
-    contradicted = [joint for joint in joints if _cost(joint, poses[joint.parent][0], poses[joint.child][0]) >= _MOST]
+    contradicted = [joint for joint in joints if _contradicted(joint, poses[joint.parent][0], poses[joint.child][0])]
     if not joints or not (unclear or contradicted):
         return first
     doubtful = {k for joint in contradicted for k in (joint.parent, joint.child)}
@@ -111,8 +111,7 @@ def _total_cost(joints: Sequence[Joint], options: Sequence[Sequence[Settled]]) -
     for joint in joints:
         table = np.empty((counts[joint.parent], counts[joint.child]))
         for i, j in itertools.product(*map(range, table.shape)):
-            parent, child = options[joint.parent][i], options[joint.child][j]
-            table[i, j] = _cost(joint, parent.evidence, child.evidence)
+            table[i, j] = _cost(joint, options[joint.parent][i], options[joint.child][j])
         if joint.parent > joint.child:
             table = table.T
         shape = [counts[k] if k in (joint.parent, joint.child) else 1 for k in range(len(counts))]
@@ -120,10 +119,18 @@ def _total_cost(joints: Sequence[Joint], options: Sequence[Sequence[Settled]]) -
     return total
 
 
-def _cost(joint: Joint, parent: PartEvidence, child: PartEvidence) -> float:
-    """Of two poses under a joint; _MOST where they contradict it: of two that do, neither is an explanation."""
-    rms, number = joint_disagreement(joint, parent, child)
-    beyond = limit_excess(joint, parent, child)
-    if not max(rms, beyond) <= CONTRADICTION:
+def _contradicted(joint: Joint, parent: PartEvidence, child: PartEvidence) -> bool:
+    return not max(joint_disagreement(joint, parent, child)[0], limit_excess(joint, parent, child)) <= CONTRADICTION
+
+
+def _cost(joint: Joint, parent: Settled, child: Settled) -> float:
+    """Of two poses under a joint; _MOST where they contradict it, as then neither is an explanation.
+
+    But poses as they were given that only overstep a limit cost what they overstep it by: a lid that is told a few
+    degrees more than closed is no reason to turn box and lid about.
+    """
+    rms, number = joint_disagreement(joint, parent.evidence, child.evidence)
+    beyond = limit_excess(joint, parent.evidence, child.evidence)
+    if not rms <= CONTRADICTION or (beyond > CONTRADICTION and (parent.turned or child.turned)):
         return _MOST
     return min(rms * rms * number + beyond * beyond, _MOST)

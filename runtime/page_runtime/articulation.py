@@ -99,13 +99,12 @@ def articulate(category: Category, parts: Sequence[PartEvidence | None]) -> Arti
         if not missing[joint.name] and joint.kind != "free"
     }
     judged = [joint for joint in category.joints if joint.name in pairs]
-    off = {joint.name: joint_disagreement(joint, *pairs[joint.name])[0] for joint in judged}
-    beyond = {joint.name: limit_excess(joint, *pairs[joint.name]) for joint in judged}
-    apart = {joint.name: max(off[joint.name], beyond[joint.name]) for joint in judged}
+    apart = {
+        name: max(joint_disagreement(joint, *pairs[name])[0], limit_excess(joint, *pairs[name]))
+        for name, joint in ((joint.name, joint) for joint in judged)
+    }
     reasons = missing | {
-        joint.name: (_out_of_limits if off[joint.name] <= CONTRADICTION else _contradiction)(joint, category)
-        for joint in judged
-        if not apart[joint.name] <= CONTRADICTION
+        joint.name: _contradiction(joint, category) for joint in judged if not apart[joint.name] <= CONTRADICTION
     }
     coupling = [joint for joint in judged if not reasons[joint.name]]
     held: dict[str, float] = {}
@@ -200,12 +199,7 @@ def _missing(joint: Joint, category: Category, seen: Sequence[int]) -> str:
 
 def _contradiction(joint: Joint, category: Category) -> str:
     parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
-    return f"the poses of {parent} and {child} contradict each other: no state of the joint explains both"
-
-
-def _out_of_limits(joint: Joint, category: Category) -> str:
-    parent, child = category.parts[joint.parent].name, category.parts[joint.child].name
-    return f"the poses of {parent} and {child} contradict the joint's limits: its state would lie far beyond them"
+    return f"the poses of {parent} and {child} contradict each other: no state within the joint's limits explains both"
 
 
 def _solved(
