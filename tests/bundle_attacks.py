@@ -11,6 +11,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from page_runtime.bundle import METADATA_KEY, METADATA_VERSION
+from page_runtime.category import MAX_PARTS
 
 
 def initializer(model: onnx.ModelProto, name: str, value: Any, dtype: type = np.float32) -> str:
@@ -286,5 +287,17 @@ ATTACKS: dict[str, tuple[Callable[[onnx.ModelProto], Any], str]] = {
     "metadata with a long number": (with_metadata(lambda _: "9" * 100_000), "expected JSON"),
     "metadata with an infinite number": (with_metadata(lambda d: d.update(num_points=float("inf"))), "bundle metadata"),
     "metadata with a field twice": (with_metadata(lambda _: '{"version": 4, "version": 4}'), "given twice"),
+    "a chain of many parts": (
+        with_metadata(lambda d: d.update(parts=[dict(d["parts"][0], name=str(k)) for k in range(MAX_PARTS + 1)])),
+        f"parts: expected at most {MAX_PARTS}, got {MAX_PARTS + 1}",
+    ),
+    "a joint for each pair of parts": (
+        with_metadata(lambda d: d.update(joints=[None] * MAX_PARTS)),
+        f"joints: expected at most {MAX_PARTS - 1}, got {MAX_PARTS}",
+    ),
+    "commands to a terminal": (
+        with_metadata(lambda d: d["provenance"].update({"\x1b[2J": 1})),
+        "provenance: expected printable names",
+    ),
     "metadata without end": (with_metadata(lambda _: "{" + " " * (5 << 20)), "at most"),
 }

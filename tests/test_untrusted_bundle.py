@@ -66,6 +66,20 @@ def test_a_file_of_nothing_but_small_fields_is_refused_early(tmp_path: Path) -> 
         read_bundle(path)
 
 
+@pytest.mark.parametrize("words", ["x" * (1 << 20), "\x1b[2J" * 9])
+def test_what_is_said_of_a_refused_file_is_short_and_no_command_to_a_terminal(
+    oracle_bundle: Path, tmp_path: Path, words: str
+) -> None:
+    model = onnx.load(oracle_bundle)
+    model.graph.node[0].op_type = words
+    path = tmp_path / "talkative.onnx"
+    path.write_bytes(sealed(model.SerializeToString()))
+    with pytest.raises(BundleError, match="operator 0 .* not an operator that bundles use") as told:
+        read_bundle(path)
+    assert len(str(told.value)) < 1000 + len(str(path))
+    assert str(told.value).isprintable()
+
+
 def test_the_checksum_is_of_all_other_bytes(oracle_bundle: Path) -> None:
     data = oracle_bundle.read_bytes()
     (stated,) = [e.value for e in onnx.load(oracle_bundle).metadata_props if e.key == CHECKSUM_KEY]

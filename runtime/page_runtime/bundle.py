@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from page_runtime.bundle_figures import PartFigures, figures_document, figures_from
-from page_runtime.category import Category, Joint, JointGeometry, Part
+from page_runtime.category import MAX_PARTS, Category, Joint, JointGeometry, Part
 from page_runtime.confidence import FEATURES, ConfidenceModel
 from page_runtime.symmetry import Interchange, Mirror, Symmetry
 from page_runtime.template import template_document, template_from
@@ -29,6 +29,7 @@ PREPROCESSING = {
     "pixels": "float32: px of the scaled picture, integers at pixel centres",
 }
 MAX_POINTS, MAX_IMAGE_SIZE = 1 << 15, 1 << 11
+MAX_FIGURES = 16 * MAX_PARTS
 VOXELS_M = (5e-4, 0.1)
 
 
@@ -67,6 +68,8 @@ class BundleMetadata:
         unknown = {one.part for one in self.figures} - {part.name for part in self.category.parts}
         if unknown:
             raise ValueError(f"figures: expected those of the category's parts, got {sorted(unknown)}")
+        if not all(name.isprintable() for name in self.provenance):
+            raise ValueError("provenance: expected printable names")
         if self.mirrored and not self.category.joints_mirror:
             raise ValueError(
                 f"mirrored: expected false, as the joints of {self.category.name!r} are not their own mirror image "
@@ -117,7 +120,7 @@ class BundleMetadata:
                 mirrored=_yes_or_no(top, "mirrored"),
                 provenance=dict(top["provenance"]),
                 confidence=None if top["confidence"] is None else _confidence(top["confidence"]),
-                figures=tuple(figures_from(one) for one in _listed(top, "figures")),
+                figures=tuple(figures_from(one) for one in _listed(top, "figures", MAX_FIGURES)),
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise BundleError(f"bundle metadata: {error}") from error
@@ -157,8 +160,8 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
 def category_from(document: dict[str, Any]) -> Category:
     """The category of `category_document`; BundleError names the field that is wrong, missing or one too many."""
     top = _closed(document, "category", _CATEGORY_FIELDS)
-    parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts"))
-    joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints"))
+    parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts", MAX_PARTS))
+    joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints", MAX_PARTS - 1))
     try:
         return Category(
             name=str(top["category"]),
@@ -219,9 +222,11 @@ def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
     return entry
 
 
-def _listed(entry: dict[str, Any], name: str) -> list[Any]:
+def _listed(entry: dict[str, Any], name: str, most: int) -> list[Any]:
     if not isinstance(entry[name], list):
         raise BundleError(f"bundle metadata, {name}: expected a list, got {type(entry[name]).__name__}")
+    if len(entry[name]) > most:
+        raise BundleError(f"bundle metadata, {name}: expected at most {most}, got {len(entry[name])}")
     return entry[name]
 
 

@@ -14,6 +14,8 @@ from page_runtime.signature import require_signature
 from page_runtime.wire import WireError
 
 MAX_BUNDLE_BYTES = 64 << 20
+# Of what an error says: a refused file decides on most of its words.
+_MAX_WORDS = 600
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,9 +79,17 @@ def _named(path: Path) -> Iterator[None]:
     try:
         yield
     except WireError as error:
-        raise BundleError(f"bundle {path}: {error}; is it a complete .onnx file of page-export?") from error
+        raise BundleError(f"bundle {path}: {_shown(error)}; is it a complete .onnx file of page-export?") from error
     except BundleError as error:
-        raise BundleError(f"bundle {path}: {error}") from error
+        raise BundleError(f"bundle {path}: {_shown(error)}") from error
+
+
+def _shown(error: Exception) -> str:
+    """What may be shown in a terminal, and is short enough to be read: how it begins and how it ends."""
+    words = str(error)
+    if len(words) > _MAX_WORDS:
+        words = f"{words[: _MAX_WORDS // 2]} ... {words[-_MAX_WORDS // 2 :]}"
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
 
 
 def _rows(graph: OnnxGraph) -> int | str | None:

@@ -18,6 +18,7 @@ MOST_UNIT = 10.0
 LEAST_SPREAD = 0.01
 # Of objects this runtime is for: a warehouse is none.
 MOST_M = 100.0
+MAX_PARTS = 64
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -139,8 +140,8 @@ class Category:
     interchange: Interchange | None = None
 
     def __post_init__(self) -> None:
-        if not self.parts:
-            raise ValueError(f"Category {self.name!r}: expected at least one part")
+        if not 1 <= len(self.parts) <= MAX_PARTS:
+            raise ValueError(f"Category {self.name!r}: expected 1 to {MAX_PARTS} parts, got {len(self.parts)}")
         _require_printable(self.name, "a category's name")
         if len({part.name for part in self.parts}) != len(self.parts):
             raise ValueError(

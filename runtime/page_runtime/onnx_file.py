@@ -21,8 +21,8 @@ from page_runtime.bundle import METADATA_KEY
 from page_runtime.wire import Budget, WireError, read, top_level
 
 CHECKSUM_KEY = "page.sha256"
-MAX_FIELDS = 1 << 17
-MAX_METADATA_BYTES = 4 << 20
+MAX_FIELDS = 1 << 16
+MAX_METADATA_BYTES = 1 << 20
 OPSETS = range(17, 23)
 # Initializers up to this size are read: they are the axes, shapes and bounds that decide on the size of other values.
 MAX_READ_ELEMENTS = 64
