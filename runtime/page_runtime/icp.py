@@ -119,7 +119,7 @@ def refine_to_template(
         if pairs is None or len(pairs.residuals) < _MIN_POINTS:
             return kept(f"under {_MIN_POINTS} points are near a side of the template that faces the camera", before_m)
         before_m = _trimmed_rms(pairs) if round_ == 0 else before_m
-        hessian, gradient = _normal_equations(pairs, placed, gate_m, sensor_sigma_m)
+        hessian, gradient = normal_equations(pairs, placed, gate_m, sensor_sigma_m)
         posterior = hessian + information
         step = np.linalg.solve(posterior, gradient + information @ unknowns)
         unknowns = unknowns - step
@@ -203,7 +203,7 @@ def _trimmed_rms(pairs: Pairs) -> float:
     return float(np.sqrt(np.partition(squares, count - 1)[:count].mean()))
 
 
-def _normal_equations(
+def normal_equations(
     pairs: Pairs, placed: Placed, gate_m: float, sensor_sigma_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """(10,10) and (10,) of both residuals, rotation and translation in camera axes.

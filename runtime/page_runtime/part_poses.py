@@ -8,21 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.alternatives import settle
-from page_runtime.articulation import PartEvidence, articulate
+from page_runtime.alternatives import Settled, settle
+from page_runtime.articulation import Articulation, PartEvidence, articulate
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category, Part
+from page_runtime.chain_fit import WholePose
 from page_runtime.confidence import ConfidenceModel, features
 from page_runtime.geometry import apply
 from page_runtime.icp import refine_to_template
 from page_runtime.network import NetworkOutput
 from page_runtime.pose import ArticulatedPose, JointState, NotSeen, PartPose
-from page_runtime.registration import Ambiguous, Observed, Registration, register_parts
+from page_runtime.registration import Ambiguous, Observed, Registration, register_parts, registered_at
 from page_runtime.sampling import RegionSample
 from page_runtime.scoring import KeypointVotes, score_parts
 from page_runtime.stopwatch import Stopwatch
 from page_runtime.template import Template
 from page_runtime.uncertainty import with_common_error
+from page_runtime.whole_object import whole_instead
 
 MIN_PART_POINTS = 12
 MAX_VOTERS = 512
@@ -66,9 +68,11 @@ def pose_from_registrations(
         for part, one, registration in zip(category.parts, observed, registrations, strict=True)
     ]
     watch.stage("icp")
-    settled = settle(category, [() if isinstance(one, str) else one.evidence for one in found])
-    taken = [one.evidence if one is not None and one.decided else None for one in settled]
-    articulation = articulate(category, taken)
+    settled, articulation = _articulated(category, found)
+    whole = whole_instead(category, observed, [_poses_of(one) for one in found], articulation)
+    if whole is not None:
+        found = [_found_in(whole, k, observed[k]) or found[k] for k in range(len(found))]
+        settled, articulation = _articulated(category, found)
     parts: list[PartPose | NotSeen] = []
     for index, (part, one, choice) in enumerate(zip(category.parts, found, settled, strict=True)):
         evidence = articulation.parts[index]
@@ -80,6 +84,13 @@ def pose_from_registrations(
         parts.append(_with_confidence(pose, metadata.confidence))
     watch.stage("articulation")
     return ArticulatedPose(tuple(parts), articulation.joints, watch.stage_ms)
+
+
+def _articulated(category: Category, found: Sequence[_Found | str]) -> tuple[tuple[Settled | None, ...], Articulation]:
+    """Of each part's poses the one that the joints allow, and all of these as the joints allow them."""
+    settled = settle(category, [_poses_of(one) for one in found])
+    taken = [one.evidence if one is not None and one.decided else None for one in settled]
+    return settled, articulate(category, taken)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -187,6 +198,7 @@ def _observed(
         extents_m / np.linalg.norm(extents_m),
         part.diagonal_range_m,
         output.side_logits[members],
+        float(np.linalg.norm(extents_m)),
     )
 
 
@@ -207,6 +219,24 @@ def _found(part: Part, observed: Observed | str, registration: Registration | Am
     if part.template is not None:
         evidence = tuple(_fitted(one, observed.points_camera, part.template) for one in evidence)
     return _Found(observed.votes, poses, evidence, ambiguity, len(observed.points_camera))
+
+
+def _poses_of(found: _Found | str) -> tuple[PartEvidence, ...]:
+    return () if isinstance(found, str) else found.evidence
+
+
+def _found_in(whole: WholePose, index: int, observed: Observed | str) -> _Found | None:
+    """A part as the whole object has it, None where it has not."""
+    if index not in whole.parts or isinstance(observed, str):
+        return None
+    row = whole.parts.index(index)
+    pose = whole.poses.take(np.array([row]))
+    registration = registered_at(observed, pose)
+    if isinstance(registration, str):
+        return None
+    covariance = with_common_error(whole.covariances[row], registration.scale_m)
+    evidence = PartEvidence(registration.T_camera_part, registration.scale_m, covariance, whole.extents_unit[row])
+    return _Found(observed.votes, (registration,), (evidence,), "", len(observed.points_camera))
 
 
 def _fitted(evidence: PartEvidence, points_camera: NDArray[np.floating], template: Template) -> PartEvidence:

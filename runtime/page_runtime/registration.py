@@ -76,7 +76,7 @@ class Observed:
     `score_parts`; extents_unit: (3,), the part's box about the canonical origin, in diagonals;
     scale_range_m: diagonals that the category's parts can have, with what margin is wanted; side_logits:
     (N, len(votes)), > 0 where keypoint j lies on the camera's side of the surface at point i, used where
-    the points are nearly planar.
+    the points are nearly planar; diagonal_m: what the network takes its size for, if it says so.
     """
 
     points_camera: NDArray[np.floating]
@@ -86,6 +86,7 @@ class Observed:
     extents_unit: NDArray[np.floating]
     scale_range_m: tuple[float, float]
     side_logits: NDArray[np.floating] | None = None
+    diagonal_m: float | None = None
 
 
 def register_part(observed: Observed) -> Registration | Ambiguous | str:
@@ -162,6 +163,13 @@ def register_near(
             else f"the refined scale {pose.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
         )
     return results
+
+
+def registered_at(part: Observed, pose: Similarities) -> Registration | str:
+    """What the part's radii say of one pose that was found otherwise, which they leave where it is and do not tell from
+    others: runner_up_ratio is 1. Errors as of `register_parts`."""
+    evidence = _evidence(part)
+    return evidence if isinstance(evidence, str) else _registration(pose, evidence, 1.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

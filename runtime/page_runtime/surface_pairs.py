@@ -13,7 +13,7 @@ from page_runtime.template import Template
 
 # A sample is compared by distance and, so many times more, by distance from its plane: else every point by an edge may
 # choose the other face, whose samples stand further apart than the points are off.
-_NORMAL_WEIGHT = 15.0
+NORMAL_WEIGHT = 15.0
 # Sideways: the sine of an overshoot's direction out of its point's surface. Along the normal depth noise overshoots.
 _SIDEWAYS = 0.5
 # As in scoring: 640 KB of float32 stay in the cache.
@@ -69,24 +69,32 @@ def paired(points: FloatArray, placed: Placed, surface: Template, gate_m: float)
     return Pairs(own, normals, np.einsum("nk,nk->n", normals, offsets), rows, axis, overshoot)
 
 
-def _nearest(points: FloatArray, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
-    """(N,) index of the sample least in |p - q|^2 + w (n . (p - q))^2, which is linear in the products of p with p.
+def distance_features(
+    points: FloatArray, places: FloatArray, normals: FloatArray
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(..., N, 10) of points and (10, M) of samples, whose product is |p - q|^2 + w (n . (p - q))^2 less |p|^2.
 
-    One product of (N,10) and (10,M) matrices in blocks, in float32, whose rounding is below 0.1 mm for parts of 1 m.
+    That is linear in the products of p with p. In float32, whose rounding is below 0.1 mm for parts of 1 m.
     """
     depth = np.einsum("mk,mk->m", normals, places)
-    weighted = _NORMAL_WEIGHT * normals
+    weighted = NORMAL_WEIGHT * normals
     features = np.empty((10, len(places)), np.float32)
-    features[0] = _NORMAL_WEIGHT * depth * depth + np.einsum("mk,mk->m", places, places)
+    features[0] = NORMAL_WEIGHT * depth * depth + np.einsum("mk,mk->m", places, places)
     features[1:4] = -2.0 * (places + weighted * depth[:, None]).T
     features[4:7] = (weighted * normals).T
     features[7:10] = 2.0 * (weighted * normals[:, [1, 2, 0]]).T
-    products = np.empty((len(points), 10), np.float32)
-    products[:, 0] = 1.0
-    products[:, 1:4] = points
-    products[:, 4:7] = points * points
-    products[:, 7:9] = points[:, :2] * points[:, 1:]
-    products[:, 9] = points[:, 2] * points[:, 0]
+    products = np.empty((*points.shape[:-1], 10), np.float32)
+    products[..., 0] = 1.0
+    products[..., 1:4] = points
+    products[..., 4:7] = points * points
+    products[..., 7:9] = points[..., :2] * points[..., 1:]
+    products[..., 9] = points[..., 2] * points[..., 0]
+    return products, features
+
+
+def _nearest(points: FloatArray, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
+    """(N,) index of the sample least in |p - q|^2 + w (n . (p - q))^2, by `distance_features` in blocks."""
+    products, features = distance_features(points, places, normals)
     nearest = np.empty(len(points), np.intp)
     step = max(_BLOCK // len(places), 1)
     for start in range(0, len(points), step):

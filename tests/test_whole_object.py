@@ -1,0 +1,236 @@
+"""A chain whose parts say nothing of how they are turned: found from one of them, its joints and its surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from page_runtime.articulation import PartEvidence, articulate
+from page_runtime.category import Category, Joint, JointGeometry, JointKind, Part
+from page_runtime.chain import Piece, misfits
+from page_runtime.chain_fit import WholePose, whole_pose
+from page_runtime.geometry import rotation_about, rotation_angle, transform_from
+from page_runtime.registration import Observed, registered_at
+from page_runtime.similarity import FloatArray as Array
+from page_runtime.similarity import Similarities, so3_exp
+from page_runtime.template import Template
+from page_runtime.whole_object import whole_instead
+from synthetic_parts import box_template
+
+KEYPOINTS = 0.35 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1], [0.0, 0, 1.5], [0, 0, -1.5]])
+PIVOTS = ((0.0, 0.0, 0.45), (0.0, 0.0, -0.45))
+AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+STATES = (0.9, -0.8, 1.1)
+COVARIANCE = np.diag([0.03] * 3 + [0.003] * 3 + [0.02]) ** 2
+
+
+def shape() -> tuple[Template, float]:
+    """A bar with a bump on one end of one side, so that no turn leaves it as it is; and its diagonal."""
+    bar, bump = (box_template(np.array(size)) for size in ((0.08, 0.06, 0.24), (0.05, 0.06, 0.07)))
+    points = np.concatenate([bar.points_unit, bump.points_unit + [0.0, 0.06, 0.08]])
+    normals = np.concatenate([bar.normals_unit, bump.normals_unit])
+    low, high = points.min(axis=0), points.max(axis=0)
+    diagonal_m = float(np.linalg.norm(high - low))
+    return Template((points - (low + high) / 2) / diagonal_m, normals, (high - low) / diagonal_m), diagonal_m
+
+
+TEMPLATE, DIAGONAL_M = shape()
+
+
+def chain_of(kinds: tuple[JointKind, ...]) -> Category:
+    part = Part("0", "", KEYPOINTS, TEMPLATE.extents_unit, (0.1, 1.0), TEMPLATE)
+    geometry = JointGeometry(*PIVOTS, (0.002,) * 3, (0.002,) * 3, 0.0, 0.01)
+    return Category(
+        name="chain",
+        parts=tuple(replace(part, name=str(k)) for k in range(len(kinds) + 1)),
+        joints=tuple(
+            Joint(f"j{k}", k, k + 1, kind, AXES[k], (-2.0, 2.0) if kind == "revolute" else (0.0, 0.12), geometry)
+            for k, kind in enumerate(kinds)
+        ),
+        num_voted=3,
+        region_radius_m=1.0,
+    )
+
+
+def posed(category: Category, states: tuple[float, ...], T_camera_root: Array) -> list[Array]:
+    T = [T_camera_root]
+    extents_m = DIAGONAL_M * TEMPLATE.extents_unit
+    for joint, state in zip(category.joints, states, strict=False):
+        axis = np.array(joint.axis)
+        turn = rotation_about(axis, state) if joint.kind == "revolute" else np.eye(3)
+        shift = state * axis if joint.kind == "prismatic" else np.zeros(3)
+        parent, child = (np.array(pivot) * extents_m for pivot in PIVOTS)
+        T.append(T[-1] @ transform_from(turn, parent + shift - turn @ child))
+    return T
+
+
+def root_pose(seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    return transform_from(so3_exp(rng.normal(size=(1, 3)))[0], np.array([*rng.uniform(-0.1, 0.1, 2), 1.1]))
+
+
+def piece(T: Array, seed: int = 0, *, told: bool = False) -> Piece:
+    """What can be seen of a part, with depth noise. Its radii say where it is and, unless `told`, nothing of how it is
+    turned: to its middle from everywhere."""
+    rng = np.random.default_rng([seed, round(1e6 * abs(T[0, 3]))])
+    points = DIAGONAL_M * TEMPLATE.points_unit @ T[:3, :3].T + T[:3, 3]
+    facing = np.einsum("mk,mk->m", TEMPLATE.normals_unit @ T[:3, :3].T, points) < 0.0
+    points = points[facing][rng.permutation(int(facing.sum()))[:120]] + rng.normal(scale=0.0015, size=(120, 3))
+    keypoints = DIAGONAL_M * KEYPOINTS * (1.0 if told else 0.0) @ T[:3, :3].T + T[:3, 3]
+    radii = np.linalg.norm(points[:, None] - keypoints, axis=2)
+    return Piece(points, radii, KEYPOINTS, DIAGONAL_M, TEMPLATE)
+
+
+def similarity(T: Array) -> Similarities:
+    return Similarities(T[None, :3, :3], T[None, :3, 3], np.array([DIAGONAL_M]))
+
+
+def errors(whole: WholePose, T: list[Array]) -> tuple[float, float]:
+    """The largest, deg and mm."""
+    turned = [
+        np.degrees(float(rotation_angle(R, T[k][:3, :3]))) for k, R in zip(whole.parts, whole.poses.R, strict=True)
+    ]
+    off = [1e3 * np.linalg.norm(t - T[k][:3, 3]) for k, t in zip(whole.parts, whole.poses.t, strict=True)]
+    return max(turned), float(max(off))
+
+
+@pytest.mark.parametrize("kinds", [("revolute",) * 3, ("revolute", "prismatic"), ("prismatic", "revolute")])
+@pytest.mark.parametrize("root", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_chain_is_found_from_any_of_its_parts(kinds: tuple[JointKind, ...], root: int, seed: int) -> None:
+    category = chain_of(kinds)
+    states = tuple(s if kind == "revolute" else 0.08 for s, kind in zip(STATES, kinds, strict=False))
+    T = posed(category, states, root_pose(seed))
+    whole = whole_pose(category, [piece(one, seed) for one in T], {root: similarity(T[root])})
+    assert whole is not None
+    assert whole.parts == tuple(range(len(T)))
+    turned, off = errors(whole, T)
+    assert turned < 3.0
+    assert off < 8.0
+
+
+def test_a_first_part_turned_about_its_joint_is_turned_back() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(3))
+    wrong = T[0] @ transform_from(rotation_about(np.array([1.0, 0.0, 0.0]), 1.1), np.zeros(3))
+    whole = whole_pose(category, [piece(one) for one in T], {0: similarity(wrong)})
+    assert whole is not None
+    assert errors(whole, T)[0] < 3.0
+
+
+def test_what_is_behind_a_part_without_points_is_left_out() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(0))
+    whole = whole_pose(category, [piece(T[0]), piece(T[1]), None, piece(T[3])], {0: similarity(T[0])})
+    assert whole is not None
+    assert whole.parts == (0, 1)
+    assert whole_pose(category, [None, piece(T[1])], {}) is None
+
+
+def test_turning_the_camera_turns_what_is_found() -> None:
+    category = chain_of(("revolute",) * 2)
+    T = posed(category, STATES, root_pose(1))
+    turn = so3_exp(np.array([[0.1, -0.2, 0.4]]))[0]
+    pieces = [piece(one) for one in T]
+    turned = [replace(one, points=one.points @ turn.T) for one in pieces]
+    start = transform_from(turn, np.zeros(3)) @ T[0]
+    here, there = (
+        whole_pose(category, pieces, {0: similarity(T[0])}),
+        whole_pose(category, turned, {0: similarity(start)}),
+    )
+    assert here is not None
+    assert there is not None
+    assert np.allclose(turn @ here.poses.R, there.poses.R, atol=1e-3)
+    assert np.allclose(here.poses.t @ turn.T, there.poses.t, atol=1e-3)
+
+
+def test_misfits_are_those_of_every_point_and_sample() -> None:
+    T = root_pose(2)
+    own = piece(T, told=True).sketch()
+    poses = [T, T @ transform_from(rotation_about(np.array([0.0, 0.0, 1.0]), 0.3), np.array([0.02, 0.0, 0.0]))]
+    found = misfits(own, np.array([p[:3, :3] for p in poses]), np.array([p[:3, 3] for p in poses]))
+    for pose, value in zip(poses, found, strict=True):
+        places = DIAGONAL_M * own.surface.points_unit @ pose[:3, :3].T + pose[:3, 3]
+        normals = own.surface.normals_unit @ pose[:3, :3].T
+        near2 = max(0.006, 0.03 * DIAGONAL_M) ** 2
+        surface = []
+        for point in own.points:
+            apart = point - places
+            squares = (np.sum(apart**2, axis=1) + 15.0 * np.sum(normals * apart, axis=1) ** 2) / 16.0
+            least = (squares + near2 * (np.sum(normals * places, axis=1) > 0.0)).min()
+            surface.append(least / (least + near2))
+        keypoints = DIAGONAL_M * KEYPOINTS @ pose[:3, :3].T + pose[:3, 3]
+        off = np.linalg.norm(own.points[:, None] - keypoints, axis=2) - own.radii_m
+        ratio2 = (off / (0.1 * DIAGONAL_M)) ** 2
+        assert value == pytest.approx(0.7 * np.mean(surface) + 0.3 * np.mean(ratio2 / (1.0 + ratio2)), abs=2e-3)
+    assert found[0] < found[1] < 1.0
+
+
+def observed(one: Piece) -> Observed:
+    return Observed(
+        one.points, one.radii_m, KEYPOINTS, (), TEMPLATE.extents_unit, (0.1, 1.0), None, diagonal_m=DIAGONAL_M
+    )
+
+
+def evidence(T: Array) -> PartEvidence:
+    return PartEvidence(T, DIAGONAL_M, COVARIANCE, TEMPLATE.extents_unit)
+
+
+def asked(category: Category, pieces: list[Piece], poses: list[PartEvidence | None]) -> WholePose | None:
+    own = [() if one is None else (one,) for one in poses]
+    return whole_instead(category, [observed(one) for one in pieces], own, articulate(category, poses))
+
+
+def test_parts_that_make_sense_are_left_alone() -> None:
+    category = chain_of(("revolute",) * 2)
+    T = posed(category, STATES, root_pose(0))
+    assert asked(category, [piece(one) for one in T], [evidence(one) for one in T]) is None
+
+
+def test_a_part_without_a_pose_and_one_that_contradicts_its_joint_are_placed() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(0))
+    wrong = T[2] @ transform_from(rotation_about(np.array([0.0, 1.0, 0.0]), 1.5), np.zeros(3))
+    whole = asked(category, [piece(one) for one in T], [evidence(T[0]), None, evidence(wrong), evidence(T[3])])
+    assert whole is not None
+    assert errors(whole, T)[0] < 3.0
+
+
+def test_an_object_of_another_shape_is_not_explained_as_a_whole() -> None:
+    category = chain_of(("revolute",) * 2)
+    T = posed(category, STATES, root_pose(0))
+    rng = np.random.default_rng(0)
+    clouds = []
+    for one in T:
+        points = one[:3, 3] + rng.normal(scale=0.4, size=(120, 3))
+        radii = rng.uniform(0.5, 2.0, (120, len(KEYPOINTS)))
+        clouds.append(Piece(points, radii, KEYPOINTS, DIAGONAL_M, TEMPLATE))
+    before = [evidence(one) for one in T]
+    before[2] = evidence(T[2] @ transform_from(rotation_about(np.array([0.0, 1.0, 0.0]), 2.0), np.zeros(3)))
+    assert asked(category, clouds, list(before)) is None
+
+
+@pytest.mark.parametrize("missing", ["template", "size", "geometry"])
+def test_without_surfaces_sizes_or_places_nothing_is_tried(missing: str) -> None:
+    category = chain_of(("revolute",) * 2)
+    T = posed(category, STATES, root_pose(0))
+    seen: list[Observed | str] = [observed(piece(one)) for one in T]
+    if missing == "template":
+        category = replace(category, parts=tuple(replace(part, template=None) for part in category.parts))
+    elif missing == "size":
+        seen = [replace(one, diagonal_m=None) for one in seen if isinstance(one, Observed)]
+    else:
+        category = replace(category, joints=tuple(replace(joint, geometry=None) for joint in category.joints))
+    poses = [evidence(T[0]), None, None]
+    assert whole_instead(category, seen, [(evidence(T[0]),), (), ()], articulate(category, poses)) is None
+
+
+def test_registered_at_a_pose_leaves_it_and_calls_it_no_better_than_others() -> None:
+    T = root_pose(0)
+    found = registered_at(observed(piece(T, told=True)), similarity(T))
+    assert not isinstance(found, str)
+    assert np.allclose(found.T_camera_part, T)
+    assert found.runner_up_ratio == 1.0
+    assert found.inlier_share > 0.9
