@@ -74,7 +74,7 @@ def test_what_is_said_of_a_refused_file_is_short_and_no_command_to_a_terminal(
     model.graph.node[0].op_type = words
     path = tmp_path / "talkative.onnx"
     path.write_bytes(sealed(model.SerializeToString()))
-    with pytest.raises(BundleError, match="operator 0 .* not an operator that bundles use") as told:
+    with pytest.raises(BundleError, match=r"operator 0 .* not an operator that bundles use") as told:
         read_bundle(path)
     assert len(str(told.value)) < 1000 + len(str(path))
     assert str(told.value).isprintable()

@@ -21,6 +21,7 @@ from synthetic_parts import box_template
 
 KEYPOINTS = 0.35 * np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1], [0.0, 0, 1.5], [0, 0, -1.5]])
 PIVOTS = ((0.0, 0.0, 0.45), (0.0, 0.0, -0.45))
+SIGMA = (0.002, 0.002, 0.002)
 AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 STATES = (0.9, -0.8, 1.1)
 COVARIANCE = np.diag([0.03] * 3 + [0.003] * 3 + [0.02]) ** 2
@@ -29,7 +30,7 @@ COVARIANCE = np.diag([0.03] * 3 + [0.003] * 3 + [0.02]) ** 2
 def shape() -> tuple[Template, float]:
     """A bar with a bump on one end of one side, so that no turn leaves it as it is; and its diagonal."""
     bar, bump = (box_template(np.array(size)) for size in ((0.08, 0.06, 0.24), (0.05, 0.06, 0.07)))
-    points = np.concatenate([bar.points_unit, bump.points_unit + [0.0, 0.06, 0.08]])
+    points = np.concatenate([bar.points_unit, bump.points_unit + np.array([0.0, 0.06, 0.08])])
     normals = np.concatenate([bar.normals_unit, bump.normals_unit])
     low, high = points.min(axis=0), points.max(axis=0)
     diagonal_m = float(np.linalg.norm(high - low))
@@ -41,7 +42,7 @@ TEMPLATE, DIAGONAL_M = shape()
 
 def chain_of(kinds: tuple[JointKind, ...]) -> Category:
     part = Part("0", "", KEYPOINTS, TEMPLATE.extents_unit, (0.1, 1.0), TEMPLATE)
-    geometry = JointGeometry(*PIVOTS, (0.002,) * 3, (0.002,) * 3, 0.0, 0.01)
+    geometry = JointGeometry(*PIVOTS, SIGMA, SIGMA, 0.0, 0.01)
     return Category(
         name="chain",
         parts=tuple(replace(part, name=str(k)) for k in range(len(kinds) + 1)),
@@ -68,7 +69,8 @@ def posed(category: Category, states: tuple[float, ...], T_camera_root: Array) -
 
 def root_pose(seed: int) -> Array:
     rng = np.random.default_rng(seed)
-    return transform_from(so3_exp(rng.normal(size=(1, 3)))[0], np.array([*rng.uniform(-0.1, 0.1, 2), 1.1]))
+    T = transform_from(so3_exp(rng.normal(size=(1, 3)))[0], np.array([*rng.uniform(-0.1, 0.1, 2), 1.1]))
+    return np.asarray(T, np.float64)
 
 
 def piece(T: Array, seed: int = 0, *, told: bool = False) -> Piece:

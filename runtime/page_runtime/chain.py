@@ -10,7 +10,7 @@ places, and the few best go on to the next joint. `chain_fit` then moves all par
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ class Piece:
         some = thinned(len(self.points), _POINTS)
         few = thinned(len(self.surface.points_unit), _SAMPLES)
         surface = Template(self.surface.points_unit[few], self.surface.normals_unit[few], self.surface.extents_unit)
-        return Piece(self.points[some], self.radii_m[some], self.keypoints_unit, self.diagonal_m, surface)
+        return replace(self, points=self.points[some], radii_m=self.radii_m[some], surface=surface)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
