@@ -214,7 +214,7 @@ def test_an_object_of_another_shape_is_not_explained_as_a_whole() -> None:
     assert asked(category, clouds, list(before)) is None
 
 
-@pytest.mark.parametrize("missing", ["template", "size", "geometry"])
+@pytest.mark.parametrize("missing", ["template", "size", "possible size", "geometry"])
 def test_without_surfaces_sizes_or_places_nothing_is_tried(missing: str) -> None:
     category = chain_of(("revolute",) * 2)
     T = posed(category, STATES, root_pose(0))
@@ -223,6 +223,8 @@ def test_without_surfaces_sizes_or_places_nothing_is_tried(missing: str) -> None
         category = replace(category, parts=tuple(replace(part, template=None) for part in category.parts))
     elif missing == "size":
         seen = [replace(one, diagonal_m=None) for one in seen if isinstance(one, Observed)]
+    elif missing == "possible size":
+        seen = [replace(one, diagonal_m=1.1) for one in seen if isinstance(one, Observed)]
     else:
         category = replace(category, joints=tuple(replace(joint, geometry=None) for joint in category.joints))
     poses = [evidence(T[0]), None, None]

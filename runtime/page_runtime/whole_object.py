@@ -54,8 +54,11 @@ def _in_trouble(seen: Sequence[int], articulation: Articulation) -> bool:
 
 
 def _piece(observed: Observed, template: Template | None) -> Piece | None:
-    """None for a part without a surface, or without a size."""
+    """None for a part without a surface, or without a size that the category's parts can have."""
+    low, high = observed.scale_range_m
     if template is None or not len(template.points_unit) or observed.diagonal_m is None:
+        return None
+    if not low <= observed.diagonal_m <= high:
         return None
     finite = np.isfinite(observed.points_camera).all(axis=1) & np.isfinite(observed.radii_m).all(axis=1)
     if not finite.any():
