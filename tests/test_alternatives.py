@@ -151,3 +151,10 @@ def test_along_a_chain_the_one_wrong_part_is_found() -> None:
         parts[2] = turned(parts[2], HALF_TURNS[2])
         found = settle(category, [[part] for part in parts])
         assert [one.turned for one in found if one is not None] == [False, False, True, False, False]
+
+
+def test_too_many_combinations_decide_nothing() -> None:
+    category = chain(("revolute",) * 24)
+    parts = [[evidence(T, SIGMAS), evidence(T, 2 * SIGMAS)] for T in posed(category, [0.4] * 24, np.eye(4))]
+    settled = settle(category, parts)
+    assert [one is not None and (one.index, one.decided) for one in settled] == [(0, False)] * 25

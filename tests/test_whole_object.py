@@ -122,6 +122,34 @@ def test_a_first_part_turned_about_its_joint_is_turned_back() -> None:
     assert errors(whole, T)[0] < 3.0
 
 
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_limits_may_be_told_a_turn_further(turns: int) -> None:
+    category = chain_of(("revolute",) * 2)
+    shifted = tuple(
+        replace(joint, limits=(joint.limits[0] + turns * 2 * np.pi, joint.limits[1] + turns * 2 * np.pi))
+        for joint in category.joints
+    )
+    T = posed(category, STATES, root_pose(0))
+    pieces = [piece(one) for one in T]
+    whole = whole_pose(replace(category, joints=shifted), pieces, {0: similarity(T[0])})
+    assert whole is not None
+    assert errors(whole, T)[0] < 3.0
+
+
+def test_a_part_that_its_points_do_not_hold_is_told_as_unknown() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(0))
+    pieces = [piece(one) for one in T]
+    pieces[3] = replace(pieces[3], points=pieces[3].points + np.array([0.0, 0.0, 3.0]))
+    whole = whole_pose(category, pieces, {0: similarity(T[0])})
+    assert whole is not None
+    assert whole.misfit[3] > 0.5
+    spread = np.linalg.eigvalsh(whole.covariances[3])
+    assert spread[0] > 0.0
+    assert spread[-1] > 1.0
+    assert np.linalg.cond(whole.covariances[3]) < 1e9
+
+
 def test_what_is_behind_a_part_without_points_is_left_out() -> None:
     category = chain_of(("revolute",) * 3)
     T = posed(category, STATES, root_pose(0))
@@ -238,3 +266,5 @@ def test_registered_at_a_pose_leaves_it_and_calls_it_no_better_than_others() -> 
     assert np.allclose(found.T_camera_part, T)
     assert found.runner_up_ratio == 1.0
     assert found.inlier_share > 0.9
+    larger = Similarities(T[None, :3, :3], T[None, :3, 3], np.array([1.1]))
+    assert "outside 0.1 to 1 m" in str(registered_at(observed(piece(T)), larger))

@@ -47,7 +47,8 @@ def settle(category: Category, poses: Sequence[Sequence[PartEvidence]]) -> tuple
     """One of the poses given of each part, or a half turn of it. poses: for each part of the category, best first,
     empty when it has none; None for these.
 
-    Where every part has one pose and no joint is contradicted they stay as they are.
+    Where every part has one pose and no joint is contradicted they stay as they are, and where more than
+    _MAX_COMBINATIONS would have to be compared: the joints decide nothing then.
     """
     joints = [joint for joint in category.joints if joint.kind != "free" and poses[joint.parent] and poses[joint.child]]
     first = tuple(None if not own else Settled(own[0], 0, turned=False, decided=len(own) == 1) for own in poses)
@@ -62,6 +63,8 @@ def settle(category: Category, poses: Sequence[Sequence[PartEvidence]]) -> tuple
     ]
     if np.prod([max(1, len(own)) for own in options], dtype=float) > _MAX_COMBINATIONS:
         options = [own[: len(given)] for own, given in zip(options, poses, strict=True)]
+    if np.prod([max(1, len(own)) for own in options], dtype=float) > _MAX_COMBINATIONS:
+        return first
     total = _total_cost(joints, options)
     best = np.unravel_index(int(total.argmin()), total.shape)
     settled: list[Settled | None] = []

@@ -88,8 +88,9 @@ def _shown(error: Exception) -> str:
     """What may be shown in a terminal, and is short enough to be read: how it begins and how it ends."""
     words = str(error)
     if len(words) > _MAX_WORDS:
-        words = f"{words[: _MAX_WORDS // 2]} ... {words[-_MAX_WORDS // 2 :]}"
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+        words = f"{words[:_MAX_WORDS]}{words[-_MAX_WORDS:]}"
+    words = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+    return words if len(words) <= _MAX_WORDS else f"{words[: _MAX_WORDS // 2]} ... {words[-_MAX_WORDS // 2 :]}"
 
 
 def _rows(graph: OnnxGraph) -> int | str | None:

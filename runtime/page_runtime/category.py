@@ -18,7 +18,7 @@ MOST_UNIT = 10.0
 LEAST_SPREAD = 0.01
 # Of objects this runtime is for: a warehouse is none.
 MOST_M = 100.0
-MAX_PARTS = 64
+MAX_PARTS = 32
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -99,7 +99,9 @@ def misfits(piece: Piece, R: FloatArray, t: FloatArray) -> FloatArray:
     reach = np.linalg.norm(piece.points[None, :, None] - keypoints[:, None], axis=3)
     ratio2 = ((reach - piece.radii_m) / (_RADIUS_UNIT * size)) ** 2
     radial = np.mean(ratio2 / (1.0 + ratio2), axis=(1, 2))
-    return np.asarray((1.0 - _RADIUS_SHARE) * surface + _RADIUS_SHARE * radial, np.float64)
+    total = (1.0 - _RADIUS_SHARE) * surface + _RADIUS_SHARE * radial
+    # A place that is no number fits nothing.
+    return np.nan_to_num(np.asarray(total, np.float64), nan=1.0)
 
 
 def placed_from(
@@ -147,7 +149,7 @@ def _outwards(category: Category, root: int) -> list[tuple[Joint, int, int]]:
 
 
 def _root_poses(category: Category, root: int, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Each pose, and it turned about the axes of the part's joints."""
+    """Each pose, and it turned where it is: about its origin, in the directions of the part's joints."""
     axes = {joint.axis for joint in category.joints if root in (joint.parent, joint.child) and joint.kind == "revolute"}
     angles = np.linspace(0.0, 2.0 * np.pi, _ROOT_TURNS, endpoint=False)[1:, None]
     turns = np.concatenate([np.eye(3)[None], *(so3_exp(angles * np.array(axis)) for axis in sorted(axes))])
@@ -158,7 +160,7 @@ def _states(joint: Joint, diagonal_m: float) -> FloatArray:
     """What is tried of a joint."""
     low, high = joint.limits
     if joint.kind == "revolute":
-        low, high = max(low, -np.pi), min(high, low + 2.0 * np.pi)
+        high = min(high, low + 2.0 * np.pi)
     step = _STEP_RAD if joint.kind == "revolute" else _STEP_UNIT * diagonal_m
     return np.linspace(low, high, int(np.clip(np.ceil((high - low) / step) + 1, 2, _MOST_STATES)))
 

@@ -55,7 +55,8 @@ class WholePose:
 def whole_pose(
     category: Category, pieces: Sequence[Piece | None], known: Mapping[int, Similarities]
 ) -> WholePose | None:
-    """The pose of all parts with points that joints tie together, or None where there is none.
+    """The pose of all parts with points that joints of a known place tie together, of the largest group of such parts
+    where there are several; None where no part has a pose.
 
     known: poses of parts by themselves; it begins with those of them that have the most points.
     """
@@ -95,7 +96,10 @@ def _fitted(category: Category, pieces: Sequence[Piece | None], placements: Plac
         longest = max(np.abs(steps[:, :3]).max(), (np.abs(steps[:, 3:6]) / sizes[:, None]).max())
         if gate == _GATES[-1] and longest <= _SETTLED:
             break
-    inverse = np.asarray(np.linalg.inv(hessian + 1e-9 * np.eye(len(hessian))), np.float64)
+    # A part that nothing holds any more may be turned anyhow and be anywhere near.
+    floor = np.ones((len(parts), _SIZE))
+    floor[:, :3], floor[:, 3:6] = np.pi**-2, sizes[:, None] ** -2
+    inverse = np.asarray(np.linalg.inv(hessian + np.diag(floor.reshape(-1))), np.float64)
     blocks = [slice(_SIZE * i, _SIZE * (i + 1)) for i in range(len(parts))]
     final = [misfits(piece.sketch(), poses.R[i : i + 1], poses.t[i : i + 1])[0] for i, piece in enumerate(own)]
     return WholePose(

@@ -45,8 +45,9 @@ def estimate(
     """The pose of every part of the object in `region` (x, y, w, h px) of `frame`, in the category's order.
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
-    mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes the
-    time of the first, so 1 is for loops whose time must not vary. max_voters: of a part's points, at most so many vote.
+    mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes about
+    the time of the first, so 1 is for loops whose time must not vary, but for what parts that make no sense one by one
+    cost (`whole_object`). max_voters: of a part's points, at most so many vote.
     network_seconds: DeadlineExceeded where a forward pass takes longer; in a further look, the answer there is stays.
     Raises ValueError for a region outside the image.
     """

@@ -169,6 +169,9 @@ def registered_at(part: Observed, pose: Similarities) -> Registration | str:
     """What the part's radii say of one pose that was found otherwise, which they leave where it is and do not tell from
     others: runner_up_ratio is 1. Errors as of `register_parts`."""
     evidence = _evidence(part)
+    low, high = part.scale_range_m
+    if not low <= pose.s[0] <= high:
+        return f"the scale {pose.s[0]:.3g} m is outside {low:.3g} to {high:.3g} m"
     return evidence if isinstance(evidence, str) else _registration(pose, evidence, 1.0)
 
 
