@@ -228,6 +228,16 @@ def test_a_part_without_a_pose_and_one_that_contradicts_its_joint_are_placed() -
     assert errors(whole, T)[0] < 3.0
 
 
+def test_an_impossible_size_is_taken_for_the_nearest_possible_one() -> None:
+    category = chain_of(("revolute",))
+    T = posed(category, STATES, root_pose(0))
+    seen = [replace(observed(piece(one)), diagonal_m=5.0, scale_range_m=(0.1, DIAGONAL_M)) for one in T]
+    poses = [evidence(T[0]), None]
+    whole = whole_instead(category, seen, [(evidence(T[0]),), ()], articulate(category, poses))
+    assert whole is not None
+    assert errors(whole, T)[0] < 3.0
+
+
 def test_an_object_of_another_shape_is_not_explained_as_a_whole() -> None:
     category = chain_of(("revolute",) * 2)
     T = posed(category, STATES, root_pose(0))
@@ -242,7 +252,7 @@ def test_an_object_of_another_shape_is_not_explained_as_a_whole() -> None:
     assert asked(category, clouds, list(before)) is None
 
 
-@pytest.mark.parametrize("missing", ["template", "size", "possible size", "geometry"])
+@pytest.mark.parametrize("missing", ["template", "size", "geometry"])
 def test_without_surfaces_sizes_or_places_nothing_is_tried(missing: str) -> None:
     category = chain_of(("revolute",) * 2)
     T = posed(category, STATES, root_pose(0))
@@ -251,8 +261,6 @@ def test_without_surfaces_sizes_or_places_nothing_is_tried(missing: str) -> None
         category = replace(category, parts=tuple(replace(part, template=None) for part in category.parts))
     elif missing == "size":
         seen = [replace(one, diagonal_m=None) for one in seen if isinstance(one, Observed)]
-    elif missing == "possible size":
-        seen = [replace(one, diagonal_m=1.1) for one in seen if isinstance(one, Observed)]
     else:
         category = replace(category, joints=tuple(replace(joint, geometry=None) for joint in category.joints))
     poses = [evidence(T[0]), None, None]

@@ -61,11 +61,8 @@ def _in_trouble(seen: Sequence[int], articulation: Articulation) -> bool:
 
 
 def _piece(observed: Observed, template: Template | None) -> Piece | None:
-    """None for a part without a surface, or without a size that the category's parts can have."""
-    low, high = observed.scale_range_m
+    """None for a part without a surface or a size; of a size that the category's parts can have."""
     if template is None or not len(template.points_unit) or observed.diagonal_m is None:
-        return None
-    if not low <= observed.diagonal_m <= high:
         return None
     finite = np.isfinite(observed.points_camera).all(axis=1) & np.isfinite(observed.radii_m).all(axis=1)
     if not finite.any():
@@ -74,7 +71,7 @@ def _piece(observed: Observed, template: Template | None) -> Piece | None:
         np.asarray(observed.points_camera, np.float64)[finite],
         np.asarray(observed.radii_m, np.float64)[finite],
         np.asarray(observed.keypoints_unit, np.float64),
-        observed.diagonal_m,
+        float(np.clip(observed.diagonal_m, *observed.scale_range_m)),
         template.stretched(np.asarray(observed.extents_unit, np.float64)),
     )
 
