@@ -12,6 +12,7 @@ import pytest
 from onnx import helper
 
 from bundle_attacks import ATTACKS
+from metadata_attacks import METADATA_ATTACKS
 from page_export.bundle_writer import bundle_bytes
 from page_runtime.allowed_operators import RULES
 from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
@@ -31,11 +32,11 @@ def twice_the_graph(data: bytes) -> bytes:
     return data + part.SerializeToString()
 
 
-@pytest.mark.parametrize("attack", ATTACKS)
+@pytest.mark.parametrize("attack", ATTACKS | METADATA_ATTACKS)
 def test_an_attack_with_a_right_checksum_is_refused_with_its_reason(
     oracle_bundle: Path, tmp_path: Path, attack: str
 ) -> None:
-    change, reason = ATTACKS[attack]
+    change, reason = (ATTACKS | METADATA_ATTACKS)[attack]
     model = onnx.load(oracle_bundle)
     change(model)
     path = tmp_path / "attack.onnx"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from page_runtime.category import Category, Joint
 from page_runtime.geometry import Array, transform_from
-from page_runtime.joints import Residual, joint_residual, joint_state, opposed, zero_variance
+from page_runtime.joints import Residual, joint_residual, joint_state, opposed, pair_columns, zero_variance
 from page_runtime.pose import JointState
 from page_runtime.similarity import FloatArray, Similarities, inverse_left_jacobian, so3_log
 
@@ -63,7 +63,7 @@ class _Object:
 
     def columns(self, joint: Joint) -> NDArray[np.intp]:
         """(14,) columns of the two parts' steps."""
-        return (np.array(self.rows(joint))[:, None] * _SIZE + np.arange(_SIZE)).reshape(-1)
+        return pair_columns(self.rows(joint))
 
     def residual(self, joint: Joint, poses: Similarities) -> Residual:
         rows = self.rows(joint)
@@ -218,9 +218,7 @@ def _solved(
         hessian = by_step.T @ whole.information @ by_step
         gradient = by_step.T @ whole.information @ offset
         for joint in joints:
-            residual, columns = whole.residual(joint, poses), whole.columns(joint)
-            hessian[np.ix_(columns, columns)] += residual.jacobian.T @ residual.jacobian
-            gradient[columns] += residual.jacobian.T @ residual.value
+            whole.residual(joint, poses).add_to(hessian, gradient, whole.columns(joint))
         for joint, surety in limited:
             (value, derivative), columns = whole.state(joint, poses), whole.columns(joint)
             derivative = derivative * surety

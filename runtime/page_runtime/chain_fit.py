@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from page_runtime.category import Category, Joint
+from page_runtime.category import Category
 from page_runtime.chain import Piece, Placements, misfits, placed_from
 from page_runtime.icp import SENSOR_SIGMA_M, normal_equations
-from page_runtime.joints import joint_residual
+from page_runtime.joints import joint_residual, pair_columns
 from page_runtime.similarity import FloatArray, Similarities
 from page_runtime.surface_pairs import Placed, paired
 
@@ -88,7 +88,9 @@ def _fitted(category: Category, pieces: Sequence[Piece | None], placements: Plac
     for gate in _GATES:
         hessian, gradient = _system(own, poses, sizes, gate)
         for joint in joints:
-            _add_joint(joint, [rows[joint.parent], rows[joint.child]], poses, extents, hessian, gradient)
+            pair = [rows[joint.parent], rows[joint.child]]
+            residual = joint_residual(joint, poses.take(np.array(pair)), extents[pair])
+            residual.add_to(hessian, gradient, pair_columns(pair))
         bounded = hessian + np.diag(restraint.reshape(-1))
         steps = np.asarray(np.linalg.solve(bounded, gradient), np.float64)
         steps = steps.reshape(-1, _SIZE)
@@ -126,16 +128,6 @@ def _system(own: Sequence[Piece], poses: Similarities, sizes: FloatArray, gate: 
         hessian[scale, scale] += _LOG_SCALE_SIGMA**-2
         gradient[scale] += np.log(poses.s[i] / sizes[i]) * _LOG_SCALE_SIGMA**-2
     return hessian, gradient
-
-
-def _add_joint(
-    joint: Joint, rows: list[int], poses: Similarities, extents: FloatArray, hessian: FloatArray, gradient: FloatArray
-) -> None:
-    """What the joint between two rows of the poses adds to both."""
-    residual = joint_residual(joint, poses.take(np.array(rows)), extents[rows])
-    columns = (np.array(rows)[:, None] * _SIZE + np.arange(_SIZE)).reshape(-1)
-    hessian[np.ix_(columns, columns)] += residual.jacobian.T @ residual.jacobian
-    gradient[columns] += residual.jacobian.T @ residual.value
 
 
 def _piece(pieces: Sequence[Piece | None], index: int) -> Piece:

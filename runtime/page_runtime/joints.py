@@ -7,9 +7,11 @@ first, and gives derivatives by the fourteen numbers of both steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.category import Joint
 from page_runtime.similarity import FloatArray, Similarities, inverse_left_jacobian, skew, so3_log
@@ -25,6 +27,16 @@ class Residual:
 
     value: FloatArray
     jacobian: FloatArray
+
+    def add_to(self, hessian: FloatArray, gradient: FloatArray, columns: NDArray[np.intp]) -> None:
+        """Add its share to the normal equations of many parts, of which `columns` (14,) are its two parts' steps."""
+        hessian[np.ix_(columns, columns)] += self.jacobian.T @ self.jacobian
+        gradient[columns] += self.jacobian.T @ self.value
+
+
+def pair_columns(rows: Sequence[int]) -> NDArray[np.intp]:
+    """(14,) columns of two parts' steps in the normal equations of many, by their rows."""
+    return (np.array(rows)[:, None] * 7 + np.arange(7)).reshape(-1)
 
 
 def joint_residual(joint: Joint, pair: Similarities, extents_unit: FloatArray) -> Residual:
