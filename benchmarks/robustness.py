@@ -20,8 +20,7 @@ from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError
 from page_runtime.denoising import denoised
-from page_runtime.estimator import sample_for
-from page_runtime.neighbours import find_neighbours
+from page_runtime.estimator import sample_for, sampled_again
 from page_runtime.network import Network
 from page_runtime.part_poses import pose_from_output
 from page_runtime.pose import ArticulatedPose, not_seen
@@ -84,7 +83,11 @@ def _measured(network: Network, source: Source, perturbation: Any) -> dict[str, 
                 compared.append((not_seen(metadata.category, sample), instance.truths))
                 continue
             sample = denoised(perturbation(sample, rng))
-            output = network.run(sample, find_neighbours(sample.points_camera - sample.center_camera))
+            output = network.run(sample, network.neighbours_of(sample))
+            again = sampled_again(metadata, recorded.frame, instance.region, sample, output)
+            if again is not None:
+                sample = denoised(perturbation(again, rng))
+                output = network.run(sample, network.neighbours_of(sample))
             compared.append((pose_from_output(metadata, sample, output), instance.truths))
     return figures_of(metadata.category, compared)
 

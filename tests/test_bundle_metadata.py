@@ -34,6 +34,13 @@ def test_metadata_survives_the_round_trip(metadata: BundleMetadata) -> None:
         assert ours.frame == theirs.frame
 
 
+@pytest.mark.parametrize("focused", [False, True])
+def test_a_thin_category_says_so_and_others_read_as_before(metadata: BundleMetadata, focused: bool) -> None:
+    written = replace(metadata, category=replace(metadata.category, focused=focused)).to_json()
+    assert ("focused" in json.loads(written)) == focused
+    assert BundleMetadata.from_json(written).category.focused == focused
+
+
 @pytest.mark.parametrize("path", sorted(BUNDLES.glob("*.onnx")), ids=lambda path: path.stem)
 def test_shipped_bundles_say_what_they_reached_on_the_test_split(path: Path) -> None:
     metadata = read_bundle(path).metadata
@@ -52,6 +59,7 @@ def test_figures_survive_the_round_trip_and_are_of_known_parts(metadata: BundleM
     [
         (lambda d: d.update(version=99), f"version {METADATA_VERSION}, got 99"),
         (lambda d: d.update(mirrored="yes"), "mirrored: expected true or false, got 'yes'"),
+        (lambda d: d.update(focused=1), "focused: expected true or false, got 1"),
         (lambda d: d.pop("voxel_m"), "missing .*voxel_m"),
         (lambda d: d.update(surprise=1), "not understood .*surprise"),
         (lambda d: d["parts"][0].pop("frame"), "part: missing .*frame"),

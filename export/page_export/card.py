@@ -166,6 +166,10 @@ def _limits(metadata: BundleMetadata) -> str:
         "- One object a region: the region must be given, and hold the object with little around it.",
         f"- Only what is within {metadata.category.region_radius_m:g} m of the region's middle is looked at.",
     ]
+    if metadata.category.focused:
+        lines.append(
+            "- Its objects are thin: the network runs twice before the first answer, the second time where it saw them."
+        )
     if metadata.confidence is None:
         lines.append("- The confidence is not calibrated.")
     else:

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from page_runtime.category import Category
 from page_runtime.geometry import Array
 from page_runtime.neighbours import LEVELS, find_neighbours
-from page_runtime.sampling import RegionSample, sample_region
+from page_runtime.sampling import RegionSample
+from page_training.focusing import samples_of_region
 from page_training.records import IMAGE_SIZE, NEIGHBOUR_TABLES, SHARD_SIZE, SPLITS, record_type, shard_path
-from page_training.scenes import sample_scene, training_view
+from page_training.scenes import SceneView, sample_scene, training_view
 
 
 class Truth(Protocol):
@@ -77,23 +78,23 @@ def make_shard(category: Category, split: str, shard: int, path: Path, size: int
     """Make one shard of `size` records and write it whole or not at all."""
     rng = shard_generator(category.name, split, shard)
     records = np.zeros(size, record_type(len(category.parts)))
-    filled = 0
+    whole, filled = (0, 0, IMAGE_SIZE, IMAGE_SIZE), 0
     while filled < size:
         view = training_view(sample_scene(category.name, rng, split), rng, IMAGE_SIZE)
-        sample = sample_region(
-            view.frame,
-            (0, 0, IMAGE_SIZE, IMAGE_SIZE),
-            image_size=IMAGE_SIZE,
-            num_points=LEVELS[0],
-            radius_m=category.region_radius_m,
-            margin=0.0,
-        )
-        if isinstance(sample, str):
-            continue
-        labels = view.part_mask.ravel()[sample.source_index].astype(np.int64) - 1
-        labels[labels < 0] = len(category.parts)
-        fill_record(records[filled], sample, labels=labels, normals_camera=view.normals_camera, truths=view.truths)
-        filled += 1
+
+        def labels_of(sample: RegionSample, view: SceneView = view) -> NDArray[np.int64]:
+            labels = view.part_mask.ravel()[sample.source_index].astype(np.int64) - 1
+            return np.where(labels < 0, len(category.parts), labels)
+
+        for sample in samples_of_region(category, view.frame, whole, 0.0, labels_of, rng)[: size - filled]:
+            fill_record(
+                records[filled],
+                sample,
+                labels=labels_of(sample),
+                normals_camera=view.normals_camera,
+                truths=view.truths,
+            )
+            filled += 1
     write_shard(path, records)
 
 

@@ -105,6 +105,7 @@ def _scissors() -> Category:
         # Left-handed scissors are right-handed ones with the other blade on top.
         mirror=Mirror(axis=2),
         interchange=Interchange(parts=(1, 0), axis=(0.0, 1.0, 0.0)),
+        focused=True,
     )
 
 
@@ -136,6 +137,7 @@ def _eyeglasses() -> Category:
         num_voted=NUM_VOTED,
         region_radius_m=0.2,
         mirror=Mirror(parts=(0, 2, 1)),
+        focused=True,
     )
 
 
@@ -196,6 +198,7 @@ def _cutter() -> Category:
         joints=(Joint("slide", 0, 1, "prismatic", (0.0, 1.0, 0.0), (0.0, 0.12), place),),
         num_voted=NUM_VOTED,
         region_radius_m=0.3,
+        focused=True,
     )
 
 
@@ -240,6 +243,7 @@ def _arm() -> Category:
         ),
         num_voted=NUM_VOTED,
         region_radius_m=1.1,
+        focused=True,
     )
 
 

@@ -111,12 +111,13 @@ def load_average(network: nn.Module, state: dict[str, Any], path: Path) -> None:
 def load_start(network: PageNetwork, category: Category, path: Path) -> int:
     """Begin with the averaged weights at `path`; returns how many frames of this category they have seen.
 
-    Those of the same category are taken whole. Of another category, everything that does not depend on how many parts
-    there are: what surfaces, edges and colours look like need not be learned again. ValueError for weights of another
-    architecture.
+    Those of the same category are taken whole, whether it was focused then or not. Of another category, everything that
+    does not depend on how many parts there are: what surfaces, edges and colours look like need not be learned again.
+    ValueError for weights of another architecture.
     """
     state = load_checkpoint(path)
-    if _trained_for(state) == json.loads(json.dumps(_as_trained(category_document(category)))):
+    now = json.loads(json.dumps(_as_trained(category_document(category))))
+    if _trained_for(state) | {"focused": True} == now | {"focused": True}:
         load_average(network, state, path)
         return int(state["samples"])
     if _trained_for(state)["category"] == category.name:

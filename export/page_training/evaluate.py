@@ -10,7 +10,7 @@ import torch
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.category import Category
-from page_runtime.estimator import sample_for
+from page_runtime.estimator import sample_for, sampled_again
 from page_runtime.neighbours import LEVELS, Neighbours, find_neighbours
 from page_runtime.network import NetworkOutput, feeds
 from page_runtime.part_poses import pose_from_output
@@ -87,7 +87,11 @@ def evaluate(
             if isinstance(sample, str):
                 pose = not_seen(category, sample)
             else:
-                pose = pose_of(metadata, sample, outputs_of(network, sample, metadata))
+                outputs = outputs_of(network, sample, metadata)
+                again = sampled_again(metadata, recorded.frame, instance.region, sample, _as_session(outputs, metadata))
+                if again is not None:
+                    sample, outputs = again, outputs_of(network, again, metadata)
+                pose = pose_of(metadata, sample, outputs)
             compared.append((pose, instance.truths))
         on_frame()
     return {"recording": source.path.name, "frames": len(source), **figures_of(category, compared)}

@@ -7,6 +7,7 @@ understood whole or not used.
 from __future__ import annotations
 
 import json
+from collections.abc import Set
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -103,8 +104,8 @@ class BundleMetadata:
         if not isinstance(document, dict) or document.get("version") != METADATA_VERSION:
             version = document.get("version") if isinstance(document, dict) else None
             raise BundleError(f"bundle metadata: expected version {METADATA_VERSION}, got {version}; export it again")
-        top = _closed(document, "bundle", _CATEGORY_FIELDS | _OWN_FIELDS)
-        category = category_from({name: top[name] for name in _CATEGORY_FIELDS})
+        top = _closed(document, "bundle", _CATEGORY_FIELDS | _OWN_FIELDS, _CATEGORY_MAY_SAY)
+        category = category_from({name: value for name, value in top.items() if name not in _OWN_FIELDS})
         if top["preprocessing"] != PREPROCESSING:
             raise BundleError(
                 "bundle metadata, preprocessing: expected what this runtime does to a frame "
@@ -147,6 +148,8 @@ def category_document(category: Category) -> dict[str, Any]:
         "mirror": None if category.mirror is None else asdict(category.mirror),
         "interchange": None if category.interchange is None else asdict(category.interchange),
         "joints": [_joint_document(joint) for joint in category.joints],
+        # Said of those alone that are: others read as they always have.
+        **({"focused": True} if category.focused else {}),
     }
 
 
@@ -159,7 +162,7 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
 
 def category_from(document: dict[str, Any]) -> Category:
     """The category of `category_document`; BundleError names the field that is wrong, missing or one too many."""
-    top = _closed(document, "category", _CATEGORY_FIELDS)
+    top = _closed(document, "category", _CATEGORY_FIELDS, _CATEGORY_MAY_SAY)
     parts = tuple(_part(_closed(entry, "part", _PART_FIELDS)) for entry in _listed(top, "parts", MAX_PARTS))
     joints = tuple(_joint(_closed(entry, "joint", _JOINT_FIELDS)) for entry in _listed(top, "joints", MAX_PARTS - 1))
     try:
@@ -171,6 +174,7 @@ def category_from(document: dict[str, Any]) -> Category:
             region_radius_m=float(top["region_radius_m"]),
             mirror=None if top["mirror"] is None else _mirror(_closed(top["mirror"], "mirror", {"axis", "parts"})),
             interchange=None if top["interchange"] is None else _interchange(top["interchange"]),
+            focused="focused" in top and _yes_or_no(top, "focused"),
         )
     except (TypeError, ValueError, OverflowError) as error:
         raise BundleError(f"bundle metadata: {error}") from error
@@ -204,6 +208,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 _CATEGORY_FIELDS = {"category", "num_voted", "region_radius_m", "parts", "joints", "mirror", "interchange"}
+_CATEGORY_MAY_SAY = {"focused"}
 _OWN_FIELDS = {
     "version", "num_points", "image_size", "voxel_m", "opset", "mirrored", "preprocessing", "provenance", "confidence",
     "figures",
@@ -213,10 +218,10 @@ _JOINT_FIELDS = {"name", "parent", "child", "kind", "axis", "limits", "geometry"
 _GEOMETRY_FIELDS = {f.name for f in fields(JointGeometry)}
 
 
-def _closed(entry: Any, what: str, expected: set[str]) -> dict[str, Any]:
+def _closed(entry: Any, what: str, expected: set[str], allowed: Set[str] = frozenset()) -> dict[str, Any]:
     if not isinstance(entry, dict):
         raise BundleError(f"bundle metadata: expected each {what} to be an object, got {type(entry).__name__}")
-    missing, extra = expected - entry.keys(), entry.keys() - expected
+    missing, extra = expected - entry.keys(), entry.keys() - expected - allowed
     if missing or extra:
         raise BundleError(f"bundle metadata, {what}: missing {sorted(missing)}, not understood {sorted(extra)}")
     return entry

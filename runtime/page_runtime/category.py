@@ -128,7 +128,8 @@ class Category:
 
     num_voted: how many leading keypoints of every part are voted. region_radius_m: points farther than this from the
     region's centre cannot belong to the object. mirror: how its objects look in a mirror, None where a mirror shows
-    objects of another kind. interchange: parts that cannot be told from each other, None where all can.
+    objects of another kind. interchange: parts that cannot be told from each other, None where all can. focused:
+    whether its objects are so thin that points are taken again where a first look saw them (`focus`).
     """
 
     name: str
@@ -138,6 +139,7 @@ class Category:
     region_radius_m: float
     mirror: Mirror | None = field(default_factory=Mirror)
     interchange: Interchange | None = None
+    focused: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.parts) <= MAX_PARTS:

@@ -9,6 +9,7 @@ import numpy as np
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.denoising import denoised
+from page_runtime.focus import Focus, focus_on
 from page_runtime.frame import RgbdFrame
 from page_runtime.mirror import mirror_order, mirrored_pose, mirrored_sample
 from page_runtime.network import Network, NetworkOutput
@@ -21,7 +22,7 @@ from page_runtime.part_poses import (
     seen_parts,
 )
 from page_runtime.pose import ArticulatedPose, PartPose, not_seen
-from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region
+from page_runtime.sampling import REGION_MARGIN, Region, RegionSample, sample_region, square_region
 from page_runtime.sessions import DeadlineExceeded
 from page_runtime.stopwatch import Stopwatch
 
@@ -117,7 +118,33 @@ def first_look(
             sample, depth_m = behind, sample.other_depth_m
             output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
             watch.stage("network")
+    again = sampled_again(metadata, frame, region, sample, output, depth_m=depth_m)
+    if again is not None:
+        watch.stage("sampling")
+        sample = again
+        output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
+        watch.stage("network")
     return FirstLook(sample, output, depth_m, stage_ms=watch.stage_ms)
+
+
+def sampled_again(
+    metadata: BundleMetadata,
+    frame: RgbdFrame,
+    region: Region,
+    sample: RegionSample,
+    output: NetworkOutput,
+    *,
+    depth_m: float | None = None,
+) -> RegionSample | None:
+    """Of a thin object the points where this sample of the region has them, for the network to look at instead; None
+    where the sample is all there is to see, or has nothing of the object. depth_m: what the sample was asked for."""
+    if not metadata.category.focused:
+        return None
+    seen = sample.source_index[np.concatenate(members_of(output, sample.num_distinct))]
+    pixels = np.stack(np.divmod(seen, frame.depth_m.shape[1])[::-1], axis=1).astype(np.float32)
+    focus = focus_on(pixels, square_region(region)[2])
+    again = None if focus is None else sample_for(metadata, frame, region, depth_m=depth_m, focus=focus)
+    return again if isinstance(again, RegionSample) else None
 
 
 def examined(
@@ -143,7 +170,7 @@ def examined(
     for margin in OTHER_MARGINS[: max_looks - 1]:
         if not _unlikely(pose):
             break
-        again = sample_for(metadata, frame, region, margin=margin, depth_m=first_look.depth_m)
+        again = sample_for(metadata, frame, region, margin=margin, depth_m=first_look.depth_m, focus=sample.focus)
         watch.stage("sampling")
         if isinstance(again, RegionSample):
             image = mirrored_sample(again)
@@ -178,9 +205,10 @@ def sample_for(
     *,
     margin: float = REGION_MARGIN,
     depth_m: float | None = None,
+    focus: Focus | None = None,
 ) -> RegionSample | str:
-    """The points a bundle asks for, smoothed where the sensor is noisy, or why there are none; margin and depth_m as in
-    `sample_region`."""
+    """The points a bundle asks for, smoothed where the sensor is noisy, or why there are none; margin, depth_m and
+    focus as in `sample_region`."""
     sample = sample_region(
         frame,
         region,
@@ -189,5 +217,6 @@ def sample_for(
         radius_m=metadata.category.region_radius_m,
         margin=margin,
         depth_m=depth_m,
+        focus=focus,
     )
     return sample if isinstance(sample, str) else denoised(sample)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime.camera import Camera
+from page_runtime.focus import Focus
 from page_runtime.frame import RgbdFrame
 
 Region = tuple[int, int, int, int]
@@ -34,7 +35,8 @@ class RegionSample:
     pixels: (N,2) float32 position of each point in the crop, px. center_camera: (3,) their mean. camera: the crop's.
     source_index: (N,) index of each point in the flattened depth image it came from. num_distinct: points before
     repetition (fewer than N valid readings are repeated in order). other_depth_m: of the thing that the region is about
-    if it is not about these points, None where depth shows but one.
+    if it is not about these points, None where depth shows but one. focus: where points were taken first, None for
+    everywhere alike.
     """
 
     image: NDArray[np.uint8]
@@ -45,6 +47,7 @@ class RegionSample:
     source_index: NDArray[np.int64]
     num_distinct: int
     other_depth_m: float | None = None
+    focus: Focus | None = None
 
 
 @lru_cache(maxsize=32)
@@ -109,6 +112,7 @@ def sample_region(
     radius_m: float,
     margin: float = REGION_MARGIN,
     depth_m: float | None = None,
+    focus: Focus | None = None,
 ) -> RegionSample | str:
     """Sample `num_points` visible points of `region` (x, y, w, h px), or say why there are none.
 
@@ -117,7 +121,8 @@ def sample_region(
     where that lies more than `radius_m` behind what fills NEAR_SHARE of the region, at the depth of this nearer thing:
     a box around an open laptop seen from the side holds more wall than laptop. The nearer thing may as well be an arm
     before the object, so the sample has the depth decided against as `other_depth_m`, and `depth_m` asks for it.
-    `margin` widens the region as square_region says.
+    `margin` widens the region as square_region says. With a `focus`, points within its reach come first, others only
+    where those are fewer than `num_points`.
     """
     check_region(region, frame.camera.width, frame.camera.height)
     square = square_region(region, margin)
@@ -138,7 +143,11 @@ def sample_region(
     anchor = np.asarray(frame.camera.backproject(middle, np.asarray(anchor_depth)), np.float64)
     near = valid & (_squared_distances(frame.camera, u, v, depth, anchor) < radius_m**2)
     order = progressive_order(grid)
-    first = order[np.flatnonzero(near.ravel()[order])[:num_points]]
+    first = order[near.ravel()[order]]
+    if focus is not None:
+        within = focus.covers(square, grid).ravel()[first]
+        first = np.concatenate([first[within], first[~within]])
+    first = first[:num_points]
     if len(first) < MIN_POINTS:
         return (
             f"not seen: {len(first)} depth readings within {radius_m:.2f} m of the region's centre, "
@@ -159,6 +168,7 @@ def sample_region(
         source_index=(v[rows] * frame.depth_m.shape[1] + u[columns]).astype(np.int64),
         num_distinct=len(first),
         other_depth_m=central_depth if two and depth_m is None else None,
+        focus=focus,
     )
 
 

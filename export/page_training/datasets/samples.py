@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from page_runtime.camera import Camera
 from page_runtime.category import Category
 from page_runtime.geometry import Array, apply, invert
-from page_runtime.neighbours import LEVELS
-from page_runtime.sampling import RegionSample, sample_region
+from page_runtime.sampling import RegionSample
 from page_training.cache import fill_record
 from page_training.datasets.labelled import LabelledInstance
+from page_training.focusing import samples_of_region
 from page_training.record import jittered
-from page_training.records import IMAGE_SIZE, record_type
+from page_training.records import record_type
 
 # Around the visible box, as the crops of scenes have it.
 _MARGINS = (0.05, 0.3)
@@ -37,20 +37,13 @@ def records_of(instance: LabelledInstance, category: Category, repeats: int, rng
     records = np.zeros(repeats, record_type(len(category.parts)))
     filled = 0
     for _ in range(repeats):
-        sample = sample_region(
-            frame,
-            jittered(instance.region, rng, frame.camera.width, frame.camera.height),
-            image_size=IMAGE_SIZE,
-            num_points=LEVELS[0],
-            radius_m=category.region_radius_m,
-            margin=float(rng.uniform(*_MARGINS)),
-        )
-        if isinstance(sample, str):
-            continue
-        fill_record(
-            records[filled], sample, labels=_labels(instance, sample), normals_camera=normals, truths=instance.truths
-        )
-        filled += 1
+        region = jittered(instance.region, rng, frame.camera.width, frame.camera.height)
+        margin = float(rng.uniform(*_MARGINS))
+        samples = samples_of_region(category, frame, region, margin, lambda one: _labels(instance, one), rng)
+        for sample in samples[: repeats - filled]:
+            labels = _labels(instance, sample)
+            fill_record(records[filled], sample, labels=labels, normals_camera=normals, truths=instance.truths)
+            filled += 1
     return records[:filled]
 
 

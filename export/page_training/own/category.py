@@ -22,6 +22,7 @@ from page_training.scenes.resting import Rest, held_rest, upright_rest
 from page_training.scenes.statistics import joint_geometry, part_statistics
 from page_training.scenes.textures import Generator
 from page_training.templates import INSTANCES, with_templates
+from page_training.thinness import are_thin
 
 Resting = Literal["stand", "any"]
 # Of a model's size, either way: what a tape measure and a scale error of depth leave open.
@@ -29,6 +30,8 @@ SCALE_SIGMA = 0.02
 _MOST_SCALE = 3.0
 _MEASURED = 48
 _DRAWN_A_MODEL = 4
+# Of the objects measured, so many are looked at.
+_SEEN = 24
 _STATE_TRIES = 30
 _FEW = 60
 _INSIDE = 0.6
@@ -237,8 +240,15 @@ def _measured(own: OwnCategory) -> Category:
         found = part_statistics(objects, k)
         parts.append(replace(part, extents_unit=found.extents_unit, diagonal_range_m=found.diagonal_range_m))
     joints = tuple(replace(joint, geometry=joint_geometry(objects, k)) for k, joint in enumerate(own.category.joints))
-    reach = max(_reach(model, own.sample_states(rng, model)) for model in objects)
-    return replace(own.category, parts=tuple(parts), joints=joints, region_radius_m=1.15 * reach)
+    moved = [(model, own.sample_states(rng, model)) for model in objects]
+    reach = max(_reach(model, states) for model, states in moved)
+    return replace(
+        own.category,
+        parts=tuple(parts),
+        joints=joints,
+        region_radius_m=1.15 * reach,
+        focused=are_thin(moved[:_SEEN], rng),
+    )
 
 
 def _reach(model: ArticulatedObject, states: States) -> float:

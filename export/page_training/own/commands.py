@@ -74,6 +74,8 @@ def _from_urdf(options: argparse.Namespace) -> None:
     write_own(own, folder)
     _tell_joints(own.category)
     _tell_splits(own)
+    if own.category.focused:
+        print("thin: parts fill little of a region; the network will run twice, the second time where it saw them")
     if replaced:
         print(f"replaces the category {options.name} there was: what differs from it needs page-train scenes again")
     print(folder)

@@ -34,7 +34,8 @@ def readable(metadata: BundleMetadata, bundle: Path) -> str:
         f"ONNX opset {metadata.opset}",
         f"scoring        {category.num_voted} of {category.num_keypoints} keypoints of a part are voted, "
         f"voxels of {metadata.voxel_m * 1e3:g} mm",
-        f"region         points within {category.region_radius_m:g} m of its middle",
+        f"region         points within {category.region_radius_m:g} m of its middle"
+        + (", then those where a first look saw the object" if category.focused else ""),
         f"mirror         {_mirror(metadata)}",
         "input",
         *(f"  {name:<12} {said}" for name, said in PREPROCESSING.items()),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from page_runtime.equivalents import nearest_renaming, poses_of, renamed_pose
-from page_runtime.estimator import sample_for
+from page_runtime.estimator import sample_for, sampled_again
 from page_runtime.frame import RgbdFrame
 from page_runtime.geometry import Array
 from page_runtime.live.deadline import Deadline
@@ -128,6 +128,11 @@ def _look(
 ) -> _Seen:
     output = network.run(sample, network.neighbours_of(sample))
     watch.stage("network")
+    again = sampled_again(network.metadata, frame, region, sample, output, depth_m=prior.depth_m)
+    if again is not None:
+        watch.stage("sampling")
+        sample, output = again, network.run(again, network.neighbours_of(again))
+        watch.stage("network")
     return _Seen(network, track, frame, time_s, region, sample, output, prior, watch)
 
 

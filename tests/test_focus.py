@@ -1,0 +1,191 @@
+"""Thin objects: points are taken again where a first look saw them, on the device as in training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.toy import CATEGORY, toy_frame
+
+from page_runtime.estimator import examine, sample_for, sampled_again
+from page_runtime.focus import FEWEST, REACH, Focus, focus_on
+from page_runtime.network import Network, NetworkOutput
+from page_runtime.recorded import RecordedFrame
+from page_runtime.sampling import RegionSample, sample_region, square_region
+from page_training.categories import CATEGORIES
+from page_training.focusing import MISSED_SHARE, guessed_focus, samples_of_region
+from page_training.scenes.kinds import scene_category
+from page_training.thinness import are_thin, part_shares
+
+THIN = replace(CATEGORY, focused=True)
+
+
+def sampled(frame, region, focus: Focus | None = None, num_points: int = 512) -> RegionSample:
+    sample = sample_region(frame, region, image_size=224, num_points=num_points, radius_m=0.42, focus=focus)
+    assert not isinstance(sample, str)
+    return sample
+
+
+def pixels_of(sample: RegionSample, width: int) -> np.ndarray:
+    rows, columns = np.divmod(sample.source_index[: sample.num_distinct], width)
+    return np.stack([columns, rows], axis=1)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(2.0, 30.0))
+@settings(max_examples=25, deadline=None)
+def test_points_within_reach_come_first_each_kind_in_its_own_order(seed: int, reach_px: float) -> None:
+    rng = np.random.default_rng(seed)
+    recorded, _ = toy_frame()
+    frame, region = recorded.frame, recorded.instances[0].region
+    assert region is not None
+    x, y, side, _ = square_region(region)
+    seen = rng.integers((x, y), (x + side, y + side), (rng.integers(1, 20), 2)).astype(np.float32)
+    everything = pixels_of(sampled(frame, region, num_points=224 * 224), frame.camera.width)
+    focused = pixels_of(sampled(frame, region, Focus(seen, reach_px), num_points=224 * 224), frame.camera.width)
+    away = np.linalg.norm(everything[:, None] - seen[None], axis=2).min(axis=1)
+    assert len(focused) == len(everything)
+    # Reach is told to a cell of the lattice, a pixel and a half at most.
+    sure = everything[away < reach_px - 3]
+    order = {tuple(pixel): k for k, pixel in enumerate(focused.tolist())}
+    places = [order[tuple(pixel)] for pixel in sure.tolist()]
+    assert places == sorted(places)
+    others = [order[tuple(pixel)] for pixel in everything[away > reach_px + 3].tolist()]
+    assert others == sorted(others)
+    assert not places or not others or max(places) < min(others)
+
+
+def test_a_focus_elsewhere_changes_nothing() -> None:
+    recorded, _ = toy_frame()
+    region = recorded.instances[0].region
+    assert region is not None
+    elsewhere = Focus(np.full((9, 2), -1000, np.float32), 10.0)
+    one, other = sampled(recorded.frame, region), sampled(recorded.frame, region, elsewhere)
+    np.testing.assert_array_equal(one.source_index, other.source_index)
+    assert other.focus is elsewhere
+
+
+def test_points_too_few_to_be_an_object_are_no_focus() -> None:
+    assert focus_on(np.zeros((FEWEST - 1, 2), np.float32), 100) is None
+    focus = focus_on(np.zeros((FEWEST, 2), np.float32), 100)
+    assert focus is not None
+    assert focus.reach_px == pytest.approx(100 * REACH)
+
+
+def truth_answer(sample: RegionSample, masks, answered: int) -> NetworkOutput:
+    """What a network would say that knows the parts of all points."""
+    on = np.stack([mask.ravel()[sample.source_index[:answered]] for mask in masks], axis=1)
+    logits = np.concatenate([on, ~on.any(axis=1, keepdims=True)], axis=1).astype(np.float32)
+    zeros = np.zeros((answered, 6), np.float32)
+    return NetworkOutput(logits, zeros, zeros[:, :3], np.ones((2, 3), np.float32))
+
+
+def test_a_second_sample_has_the_object_and_little_else(oracle_bundle) -> None:
+    metadata = replace(Network(oracle_bundle).metadata, category=THIN)
+    recorded, masks = toy_frame()
+    x, y, w, h = recorded.instances[0].region or (0, 0, 0, 0)
+    wide = (x - 80, y - 80, w + 160, h + 160)
+    first = sample_for(metadata, recorded.frame, wide)
+    assert isinstance(first, RegionSample)
+    output = truth_answer(first, masks, 1024)
+    second = sampled_again(metadata, recorded.frame, wide, first, output)
+    assert second is not None
+    shares = [np.any(masks, axis=0).ravel()[one.source_index[:1024]].mean() for one in (first, second)]
+    assert shares[1] > 1.5 * shares[0]
+    nothing = replace(output, part_logits=np.tile(np.float32([0, 0, 1]), (1024, 1)))
+    assert sampled_again(metadata, recorded.frame, wide, first, nothing) is None
+    broad = replace(metadata, category=CATEGORY)
+    assert sampled_again(broad, recorded.frame, wide, first, output) is None
+
+
+class Watched(Network):
+    """A session that keeps the samples it was given."""
+
+    samples: list[RegionSample]
+
+    def run(self, sample: RegionSample, *arguments, **more) -> NetworkOutput:
+        self.samples.append(sample)
+        return super().run(sample, *arguments, **more)
+
+
+@pytest.mark.parametrize("focused", [False, True])
+def test_a_thin_object_is_looked_at_twice(oracle_bundle, focused: bool) -> None:
+    network = Watched(oracle_bundle)
+    network.samples = []
+    network.metadata = replace(network.metadata, category=replace(CATEGORY, focused=focused))
+    recorded: RecordedFrame = toy_frame()[0]
+    region = recorded.instances[0].region
+    assert region is not None
+    examined = examine(network, recorded.frame, region, max_looks=1)
+    assert [sample.focus is not None for sample in network.samples] == [False, True][: 1 + focused]
+    assert examined.sample is network.samples[-1]
+    assert examined.pose.stage_ms["network"] > 0.0
+
+
+def test_a_guess_without_errors_is_the_object_itself(monkeypatch) -> None:
+    monkeypatch.setattr("page_training.focusing.MISSED_SHARE", 0.0)
+    monkeypatch.setattr("page_training.focusing.PIECE_PROBABILITY", 0.0)
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(0, 224, (1024, 2)).astype(np.float32)
+    on_object = pixels[:, 0] < 60
+    focus = guessed_focus(pixels, on_object, 224, rng)
+    assert focus is not None
+    np.testing.assert_array_equal(focus.pixels, pixels[on_object])
+
+
+def test_a_guess_errs_now_and_then_but_sees_most_of_the_object() -> None:
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(0, 224, (1024, 2)).astype(np.float32)
+    on_object = pixels[:, 0] < 60
+    beside, missed = [], []
+    for _ in range(200):
+        focus = guessed_focus(pixels, on_object, 224, rng)
+        assert focus is not None
+        beside.append((focus.pixels[:, 0] >= 60).sum())
+        missed.append(1.0 - (focus.pixels[:, 0] < 60).sum() / on_object.sum())
+    assert 0.05 < np.mean(np.array(beside) > 0) < 0.5
+    assert 0.5 * MISSED_SHARE / 2 < np.mean(missed) < MISSED_SHARE
+    assert guessed_focus(pixels, np.zeros(1024, bool), 224, np.random.default_rng(3)) is None
+
+
+@pytest.mark.parametrize("category", [CATEGORY, THIN], ids=["broad", "thin"])
+def test_training_has_the_samples_the_runtime_takes(category) -> None:
+    recorded, masks = toy_frame()
+    region = recorded.instances[0].region
+    assert region is not None
+    part = np.where(masks[0], 0, np.where(masks[1], 1, 2)).ravel()
+    samples = samples_of_region(
+        category, recorded.frame, region, 0.1, lambda one: part[one.source_index], np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(
+        samples[0].points_camera, sampled(recorded.frame, region, num_points=2048).points_camera
+    )
+    assert [one.focus is not None for one in samples] == [False, True][: 1 + category.focused]
+    blind = replace(recorded.frame, depth_m=np.zeros_like(recorded.frame.depth_m))
+    assert samples_of_region(category, blind, region, 0.1, lambda _: part[:2048], np.random.default_rng(0)) == []
+
+
+@pytest.mark.parametrize("name", CATEGORIES)
+def test_categories_of_thin_objects_are_those_that_say_so(name: str) -> None:
+    kind, rng = scene_category(name), np.random.default_rng(0)
+    objects = [(model, kind.sample_states(rng, model)) for model in (kind.sample_object(rng) for _ in range(16))]
+    assert are_thin(objects, rng) == CATEGORIES[name].focused
+
+
+def test_what_parts_fill_does_not_change_with_the_size_of_the_object() -> None:
+    kind = scene_category("drawer")
+    model = kind.sample_object(np.random.default_rng(0))
+    parts = tuple(
+        replace(part, mesh=replace(part.mesh, vertices=3 * part.mesh.vertices), extents_m=3 * part.extents_m)
+        for part in model.parts
+    )
+    joints = tuple(replace(j, pivot_parent=3 * j.pivot_parent, pivot_child=3 * j.pivot_child) for j in model.joints)
+    shares = [
+        part_shares(one, (0.0,) * len(joints), np.random.default_rng(1))
+        for one in (model, replace(model, parts=parts, joints=joints))
+    ]
+    np.testing.assert_allclose(*shares, atol=0.002)
+    assert (shares[0] > 0.0).all()
+    assert (shares[0] <= 1 / 1.2**2).all()
