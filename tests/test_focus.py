@@ -170,7 +170,7 @@ def test_training_has_the_samples_the_runtime_takes(category) -> None:
 @pytest.mark.parametrize("name", CATEGORIES)
 def test_categories_of_thin_objects_are_those_that_say_so(name: str) -> None:
     kind, rng = scene_category(name), np.random.default_rng(0)
-    objects = [(model, kind.sample_states(rng, model)) for model in (kind.sample_object(rng) for _ in range(16))]
+    objects = [(model, kind.sample_states(rng, model)) for model in (kind.sample_object(rng) for _ in range(32))]
     assert are_thin(objects, rng) == CATEGORIES[name].focused
 
 

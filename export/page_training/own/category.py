@@ -31,7 +31,7 @@ _MOST_SCALE = 3.0
 _MEASURED = 48
 _DRAWN_A_MODEL = 4
 # Of the objects measured, so many are looked at.
-_SEEN = 24
+_SEEN = 32
 _STATE_TRIES = 30
 _FEW = 60
 _INSIDE = 0.6
