@@ -53,20 +53,23 @@ def samples_of_region(
     if not category.focused:
         return [first]
     pixels = np.stack(np.divmod(first.source_index, frame.depth_m.shape[1])[::-1], axis=1).astype(np.float32)
-    focus = guessed_focus(pixels, labels_of(first) < len(category.parts), square_region(region, margin)[2], rng)
+    focus = guessed_focus(pixels, labels_of(first), len(category.parts), square_region(region, margin)[2], rng)
     second = None if focus is None else sampled(focus)
     return [first, second] if isinstance(second, RegionSample) else [first]
 
 
 def guessed_focus(
-    pixels: NDArray[np.float32], on_object: NDArray[np.bool_], side_px: int, rng: np.random.Generator
+    pixels: NDArray[np.float32], labels: NDArray[np.int64], num_parts: int, side_px: int, rng: np.random.Generator
 ) -> Focus | None:
-    """Where a network might have seen the object, of points of a square region at pixels (N,2) of the frame; on_object
-    (N,): which of them are. None where it would have seen too little."""
-    pixels, on_object = pixels[:ANSWERED], on_object[:ANSWERED]
+    """Where a network might have seen the object, of points of a square region at pixels (N,2) of the frame; labels
+    (N,): the part of each, num_parts for background. None where it would have seen too little."""
+    pixels, labels = pixels[:ANSWERED], labels[:ANSWERED]
+    on_object = labels < num_parts
     seen = on_object & (rng.random(len(pixels)) > rng.uniform(0.0, MISSED_SHARE))
     for adds, centres in ((False, pixels[on_object]), (True, pixels)):
         if len(centres) and rng.random() < PIECE_PROBABILITY:
             away = np.linalg.norm(pixels - centres[rng.integers(len(centres))], axis=1)
             seen[away < side_px * rng.uniform(*PIECE_RADII)] = adds
-    return focus_on(pixels[seen], side_px)
+    # What is taken for the object is taken for any of its parts.
+    named = np.where(on_object, labels, rng.integers(num_parts))
+    return focus_on([pixels[seen & (named == part)] for part in range(num_parts)], side_px)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,7 +50,7 @@ def estimate(
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes about
     the time of the first, so 1 is for loops whose time must not vary, but for what parts that make no sense one by one
     cost (`whole_object`). max_voters: of a part's points, at most so many vote.
-    network_seconds: DeadlineExceeded where a forward pass takes longer; in a further look, the answer there is stays.
+    network_seconds: DeadlineExceeded where a forward pass takes longer; where there is an answer already, that stays.
     Raises ValueError for a region outside the image.
     """
     return examine(
@@ -121,8 +122,9 @@ def first_look(
     again = sampled_again(metadata, frame, region, sample, output, depth_m=depth_m)
     if again is not None:
         watch.stage("sampling")
-        sample = again
-        output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
+        with suppress(DeadlineExceeded):
+            output = network.run(again, network.neighbours_of(again), seconds=network_seconds)
+            sample = again
         watch.stage("network")
     return FirstLook(sample, output, depth_m, stage_ms=watch.stage_ms)
 
@@ -140,9 +142,10 @@ def sampled_again(
     where the sample is all there is to see, or has nothing of the object. depth_m: what the sample was asked for."""
     if not metadata.category.focused:
         return None
-    seen = sample.source_index[np.concatenate(members_of(output, sample.num_distinct))]
-    pixels = np.stack(np.divmod(seen, frame.depth_m.shape[1])[::-1], axis=1).astype(np.float32)
-    focus = focus_on(pixels, square_region(region)[2])
+    rows, columns = np.divmod(sample.source_index, frame.depth_m.shape[1])
+    pixels = np.stack([columns, rows], axis=1).astype(np.float32)
+    members = members_of(output, sample.num_distinct)
+    focus = focus_on([pixels[own] for own in members], square_region(region)[2])
     again = None if focus is None else sample_for(metadata, frame, region, depth_m=depth_m, focus=focus)
     return again if isinstance(again, RegionSample) else None
 

@@ -121,8 +121,8 @@ def sample_region(
     where that lies more than `radius_m` behind what fills NEAR_SHARE of the region, at the depth of this nearer thing:
     a box around an open laptop seen from the side holds more wall than laptop. The nearer thing may as well be an arm
     before the object, so the sample has the depth decided against as `other_depth_m`, and `depth_m` asks for it.
-    `margin` widens the region as square_region says. With a `focus`, points within its reach come first, others only
-    where those are fewer than `num_points`.
+    `margin` widens the region as square_region says. With a `focus`, points within its reach come first
+    (`Focus.in_order`), others only where those are fewer than `num_points`.
     """
     check_region(region, frame.camera.width, frame.camera.height)
     square = square_region(region, margin)
@@ -145,8 +145,7 @@ def sample_region(
     order = progressive_order(grid)
     first = order[near.ravel()[order]]
     if focus is not None:
-        within = focus.covers(square, grid).ravel()[first]
-        first = np.concatenate([first[within], first[~within]])
+        first = focus.in_order(first, square, grid)
     first = first[:num_points]
     if len(first) < MIN_POINTS:
         return (
