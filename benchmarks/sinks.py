@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from page_runtime import Network, estimate, open_source
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.commands.outputs import require_file_place, write_json
 from page_runtime.commands.terminal import number, table
 from page_runtime.commands.usage import UsageError

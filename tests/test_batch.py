@@ -15,9 +15,10 @@ from page_export.batched import with_rows
 from page_export.cli import main
 from page_export.onnx_export import write_bundle
 from page_export.parity import samples_of
-from page_runtime.bundle import BundleError, category_document
+from page_runtime.bundle_fields import BundleError
 from page_runtime.bundle_file import read_bundle
 from page_runtime.capture.playback import open_source
+from page_runtime.category_document import category_document
 from page_runtime.cli import main as runtime
 from page_runtime.network import Network, feeds
 from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from page_runtime.bundle import METADATA_VERSION, BundleError, BundleMetadata
+from page_runtime.bundle import METADATA_VERSION, BundleMetadata
+from page_runtime.bundle_fields import BundleError
 from page_runtime.bundle_figures import PartFigures, figures_document, figures_from
 from page_runtime.bundle_file import read_bundle
 from page_training.categories import CATEGORIES

@@ -24,7 +24,7 @@ LOADS = """
 import hashlib, json, resource, signal, sys, time
 import numpy as np
 from pathlib import Path
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.network import Network
 resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 rng = np.random.default_rng(0)

@@ -23,8 +23,10 @@ from page_export.parity import (
     samples_of,
 )
 from page_export.parity_commands import table
-from page_runtime.bundle import METADATA_KEY, BundleError, category_document
+from page_runtime.bundle import METADATA_KEY
+from page_runtime.bundle_fields import BundleError
 from page_runtime.capture.playback import open_source
+from page_runtime.category_document import category_document
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network
 from page_runtime.onnx_file import sealed

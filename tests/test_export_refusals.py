@@ -13,7 +13,7 @@ from page_export import cli, parity_commands
 from page_export.bundle_writer import write_file
 from page_export.cli import main
 from page_export.optimise_command import MIN_OBJECTS, write_kept
-from page_runtime.bundle import category_document
+from page_runtime.category_document import category_document
 from page_training.categories import CATEGORIES
 from page_training.checkpoint import save_checkpoint
 from page_training.network import network_for

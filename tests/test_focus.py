@@ -126,7 +126,7 @@ def test_a_second_sample_has_the_object_and_little_else(oracle_bundle) -> None:
     assert second is not None
     shares = [np.any(masks, axis=0).ravel()[one.source_index[:1024]].mean() for one in (first, second)]
     assert shares[1] > 1.5 * shares[0]
-    nothing = replace(output, part_logits=np.tile(np.float32([0, 0, 1]), (1024, 1)))
+    nothing = replace(output, part_logits=np.tile(np.array([0, 0, 1], np.float32), (1024, 1)))
     assert sampled_again(metadata, recorded.frame, wide, first, nothing) is None
     broad = replace(metadata, category=CATEGORY)
     assert sampled_again(broad, recorded.frame, wide, first, output) is None
@@ -246,6 +246,6 @@ def test_what_parts_fill_does_not_change_with_the_size_of_the_object() -> None:
         part_shares(one, (0.0,) * len(joints), np.random.default_rng(1))
         for one in (model, replace(model, parts=parts, joints=joints))
     ]
-    np.testing.assert_allclose(*shares, atol=0.002)
+    np.testing.assert_allclose(shares[0], shares[1], atol=0.002)
     assert (shares[0] > 0.0).all()
     assert (shares[0] <= 1 / 1.2**2).all()

@@ -199,7 +199,7 @@ def test_a_run_without_samples_to_draw_is_refused_before_it_begins(
 
 
 def test_a_checkpoint_is_evaluated_by_object(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from page_runtime.bundle import category_document
+    from page_runtime.category_document import category_document
 
     network = network_for(BOX)
     path = tmp_path / "untrained.pt"

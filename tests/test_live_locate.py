@@ -12,7 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 import toy
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.camera import Camera
 from page_runtime.frame import RgbdFrame
 from page_runtime.image_files import SourceError

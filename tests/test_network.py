@@ -11,7 +11,7 @@ import onnx
 import pytest
 from onnx import helper, numpy_helper
 
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.network import Network
 from page_runtime.onnx_file import sealed
 from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES

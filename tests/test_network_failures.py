@@ -12,7 +12,7 @@ import pytest
 from onnx import helper, numpy_helper
 
 from page_runtime import Network, NetworkError, ProviderChoice, ProviderError, live_results, open_source, providers
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.cli import main
 from page_runtime.live.faults import FrameFault
 from page_runtime.onnx_file import sealed

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from own_models import JOINT_FILE, URDF, beside
-from page_runtime.bundle import category_document
 from page_runtime.category import Category
+from page_runtime.category_document import category_document
 from page_runtime.geometry import apply
 from page_training.cache import make_shard
 from page_training.categories import own_folder

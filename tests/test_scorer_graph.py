@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 import toy
 from page_export.cli import main
 from page_export.scorer_graph import CENTER, DISTINCT, INPUTS, OUTPUTS, scorer_graph
-from page_runtime.bundle import BundleError, BundleMetadata
+from page_runtime.bundle import BundleMetadata
+from page_runtime.bundle_fields import BundleError
 from page_runtime.category import Category
 from page_runtime.neighbours import ANSWERED, LEVELS
 from page_runtime.network import Network

@@ -12,8 +12,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
+from page_runtime.category_document import category_document, category_from
 from page_runtime.equivalents import nearest_renaming, nearest_truths, renamed_pose
 from page_runtime.evaluation import joint_errors, part_errors
 from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from

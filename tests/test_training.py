@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from page_runtime.bundle import category_document
+from page_runtime.category_document import category_document
 from page_training.batches import make_batch
 from page_training.cache import make_shard
 from page_training.categories import CATEGORIES, category_named

@@ -15,7 +15,8 @@ from bundle_attacks import ATTACKS
 from metadata_attacks import METADATA_ATTACKS
 from page_export.bundle_writer import bundle_bytes
 from page_runtime.allowed_operators import RULES
-from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
+from page_runtime.bundle import METADATA_KEY, BundleMetadata
+from page_runtime.bundle_fields import BundleError
 from page_runtime.bundle_file import MAX_BUNDLE_BYTES, read_bundle
 from page_runtime.graph_limits import MAX_MADE_BYTES, MAX_MOVED_BYTES, MAX_MULTIPLICATIONS, size_of
 from page_runtime.network import Network

@@ -15,8 +15,8 @@ from page_export import provenance
 from page_export.bundle_writer import bundle_bytes
 from page_export.cli import main
 from page_export.provenance import commit, trained_on, weights_sha256
-from page_runtime.bundle import category_document
 from page_runtime.bundle_file import read_bundle
+from page_runtime.category_document import category_document
 from page_training.categories import CATEGORIES
 from page_training.checkpoint import keep_weights, load_checkpoint, save_checkpoint
 from page_training.network import network_for

@@ -1,7 +1,7 @@
 """Checkpoints of a run, and the small part of one that is worth keeping.
 
 A checkpoint carries the category it was trained for, keypoints and all: weights mean nothing for another set.
-Keys: average (the averaged network), category (JSON of bundle.category_document), config (JSON), step, samples (frames
+Keys: average (the averaged network), category (JSON of category_document), config (JSON), step, samples (frames
 seen, those of the run it was started from included); a run's own also network and optimizers.
 """
 
@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from page_runtime.bundle import category_document, category_from
 from page_runtime.category import Category
+from page_runtime.category_document import category_document, category_from
 from page_training.categories import BUILT_IN, CATEGORIES
 from page_training.network import PageNetwork
 

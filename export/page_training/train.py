@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from page_runtime.bundle import category_document
 from page_runtime.category import Category
+from page_runtime.category_document import category_document
 from page_training.approach import SCORING, Approach
 from page_training.batches import Batch, make_batch
 from page_training.checkpoint import keep_weights, load_checkpoint, load_start, save_checkpoint

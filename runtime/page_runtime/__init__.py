@@ -13,7 +13,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from page_runtime.bundle import BundleError, BundleMetadata
+    from page_runtime.bundle import BundleMetadata
+    from page_runtime.bundle_fields import BundleError
     from page_runtime.camera import Camera
     from page_runtime.capture.playback import open_source
     from page_runtime.category import Category, Joint, Part
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 _MODULE_OF_NAME = {
     "ArticulatedPose": "pose",
-    "BundleError": "bundle",
+    "BundleError": "bundle_fields",
     "BundleMetadata": "bundle",
     "Camera": "camera",
     "Category": "category",

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from page_runtime.bundle import METADATA_KEY, BundleError, BundleMetadata
+from page_runtime.bundle import METADATA_KEY, BundleMetadata
+from page_runtime.bundle_fields import BundleError
 from page_runtime.graph_limits import Size, size_of
 from page_runtime.onnx_file import OnnxFile, OnnxGraph, read_onnx
 from page_runtime.signature import require_signature

@@ -68,7 +68,7 @@ def _call(command: str, options: dict[str, object]) -> int:
     """The command's function with its options; errors in what it was given become one sentence."""
     from importlib import import_module
 
-    from page_runtime.bundle import BundleError
+    from page_runtime.bundle_fields import BundleError
     from page_runtime.capture.frame_service import DeviceUnavailable
     from page_runtime.capture.supervision import SourceLost
     from page_runtime.image_files import SourceError

@@ -58,9 +58,10 @@ class Focus:
         free = np.ones((grid, grid), np.uint8)
         free[rows, columns] = 0
         away, name = cv2.distanceTransformWithLabels(free, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
+        name = np.asarray(name, np.intp)
         part_of = np.zeros(int(name.max()) + 1, np.intp)
         part_of[name[rows, columns]] = self.parts[inside]
-        return away.ravel() * np.float32(side / grid), part_of[name.ravel()]
+        return np.asarray(away.ravel() * (side / grid), np.float32), part_of[name.ravel()]
 
 
 def focus_on(pixels: Sequence[NDArray[np.float32]], side_px: int) -> Focus | None:

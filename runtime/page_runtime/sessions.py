@@ -10,7 +10,7 @@ from typing import Any
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.machine import check_threads
 from page_runtime.providers import CPU_PROVIDER, ProviderChoice, ProviderError, resolved, short_name
 

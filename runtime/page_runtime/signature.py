@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from page_runtime.bundle import BundleError, BundleMetadata
+from page_runtime.bundle import BundleMetadata
+from page_runtime.bundle_fields import BundleError
 from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, answered_of, levels_of
 from page_runtime.onnx_file import Declared, OnnxGraph
 from page_runtime.onnx_messages import FLOAT, INT32

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from page_runtime.bundle import BundleError, category_document, category_from
+from page_runtime.bundle_fields import BundleError
+from page_runtime.category_document import category_document, category_from
 from page_training.own.category import OwnCategory, T_part_link
 from page_training.own.model import OwnJoint, OwnModel, OwnPart, Surface
 from page_training.records import SPLITS

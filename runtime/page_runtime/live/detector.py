@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from page_runtime.bundle import BundleError
+from page_runtime.bundle_fields import BundleError
 from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import Region
 from page_runtime.sessions import open_session
