@@ -17,11 +17,12 @@ from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.sampling import Region
 
 ROOT = Path(__file__).resolve().parents[1]
+BOXES = ROOT / "runtime" / "bundles" / "box.onnx"
 PERIOD_S = 1 / 30
 
 
 def box_network() -> Network:
-    return Network(ROOT / "runtime" / "bundles" / "box.onnx", threads=1)
+    return Network(BOXES, threads=1)
 
 
 def good_frames(network: Network) -> list[RecordedFrame]:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.toy import CATEGORY, toy_frame
 
 from page_runtime.estimator import examine, sample_for, sampled_again
 from page_runtime.focus import FEWEST, REACH, Focus, focus_on
@@ -21,6 +20,8 @@ from page_training.categories import CATEGORIES
 from page_training.focusing import MISSED_SHARE, guessed_focus, samples_of_region
 from page_training.scenes.kinds import scene_category
 from page_training.thinness import are_thin, part_shares
+from toy import CATEGORY, toy_frame
+from watched_network import WatchedNetwork
 
 THIN = replace(CATEGORY, focused=True)
 
@@ -132,31 +133,19 @@ def test_a_second_sample_has_the_object_and_little_else(oracle_bundle) -> None:
     assert sampled_again(broad, recorded.frame, wide, first, output) is None
 
 
-class Watched(Network):
-    """A session that keeps the samples it was given."""
-
-    samples: list[RegionSample]
-
-    def run(self, sample: RegionSample, *arguments, **more) -> NetworkOutput:
-        self.samples.append(sample)
-        return super().run(sample, *arguments, **more)
-
-
 @pytest.mark.parametrize("focused", [False, True])
 def test_a_thin_object_is_looked_at_twice(oracle_bundle, focused: bool) -> None:
-    network = Watched(oracle_bundle)
-    network.samples = []
-    network.metadata = replace(network.metadata, category=replace(CATEGORY, focused=focused))
+    network = WatchedNetwork(oracle_bundle, focused=focused)
     recorded: RecordedFrame = toy_frame()[0]
     region = recorded.instances[0].region
     assert region is not None
     examined = examine(network, recorded.frame, region, max_looks=1)
-    assert [sample.focus is not None for sample in network.samples] == [False, True][: 1 + focused]
     assert examined.sample is network.samples[-1]
+    assert network.focused() == [False, True][: 1 + focused]
     assert examined.pose.stage_ms["network"] > 0.0
 
 
-class Late(Watched):
+class Late(WatchedNetwork):
     """One whose second pass takes too long."""
 
     def run(self, sample: RegionSample, *arguments, **more) -> NetworkOutput:
@@ -167,8 +156,7 @@ class Late(Watched):
 
 
 def test_where_the_second_pass_takes_too_long_the_first_answers(oracle_bundle) -> None:
-    network = Late(oracle_bundle)
-    network.samples = []
+    network = Late(oracle_bundle, focused=False)
     recorded = toy_frame()[0]
     region = recorded.instances[0].region
     assert region is not None

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from followed_boxes import apart, at, hidden, only, region_of
+from followed_boxes import BOXES, apart, at, hidden, only, region_of
 from page_runtime import Network, RecordedFrame
 from page_runtime.estimator import Examined, estimate, examine
 from page_runtime.frame import RgbdFrame
@@ -18,6 +18,7 @@ from page_runtime.live.deadline import Deadline
 from page_runtime.live.following import Tracking
 from page_runtime.live.locate import FixedRegion, OwnRegions
 from page_runtime.sampling import Region
+from watched_network import WatchedNetwork
 
 
 def test_an_object_is_followed_under_its_number_at_the_pose_a_full_search_finds(
@@ -168,3 +169,19 @@ def test_two_tracks_of_one_object_become_the_older_one(network: Network, frames:
     followed = [tracking.follow(at(frames[0], k), Deadline()) for k in range(1, 4)]
     assert [[one.number for one in each.objects] for each in followed] == [[0]] * 3
     assert [each.lost for each in followed] == [1, 0, 0]
+
+
+def test_a_thin_object_is_followed_by_points_taken_where_it_was_seen(frames: list[RecordedFrame]) -> None:
+    network = WatchedNetwork(BOXES, focused=True)
+    full = estimate(network, frames[0].frame, region_of(frames[0]), max_looks=1)
+    tracking = Tracking(network, FixedRegion(region_of(frames[0])))
+    asked = []
+    for k in range(7):
+        network.focused()
+        found = only(tracking.follow(at(frames[0], k), Deadline()).objects)
+        rotation_rad, translation_m = apart(found.pose, full)
+        assert rotation_rad < np.radians(6.0)
+        assert translation_m < 0.015
+        asked.append(network.focused())
+    # Depth is compared with points taken where the object is expected, and the search had taken others.
+    assert asked == [[False, True], [True], [], [], [True], [], []]

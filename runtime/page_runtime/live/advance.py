@@ -21,7 +21,7 @@ from page_runtime.live.deadline import Deadline
 from page_runtime.live.identity import SAME_ROTATION_RAD, SAME_SHARE, matched
 from page_runtime.live.locate import covered
 from page_runtime.live.near import agreement, fit_near, pose_near
-from page_runtime.live.prior import Prior, expected_region, prior_as_named, surfaces_of
+from page_runtime.live.prior import Prior, expected_focus, expected_region, prior_as_named, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.part_poses import LabelledPoints, labelled_points, pose_from_output
@@ -78,11 +78,13 @@ def advanced(
     region = expected_region(prior, network.metadata.category, frame.camera)
     if region is None:
         return missed(track, (0, 0, 0, 0), "it is expected outside the picture")
-    sample = sample_for(network.metadata, frame, region, depth_m=prior.depth_m)
+    due = time_s - track.checked_s >= CHECK_S or track.missed > 0 or track.doubts > 0
+    # A check looks where parts may be that were not seen before, too.
+    focus = None if due else expected_focus(prior, network.metadata.category, frame.camera, region)
+    sample = sample_for(network.metadata, frame, region, depth_m=prior.depth_m, focus=focus)
     watch.stage("sampling")
     if isinstance(sample, str):
         return missed(track, region, sample)
-    due = time_s - track.checked_s >= CHECK_S or track.missed > 0 or track.doubts > 0
     if track.fits < FITS_BETWEEN and track.steady and not due:
         fitted = fit_near(network.metadata.category, sample, _colors(frame, sample.source_index), prior, watch)
         if not isinstance(fitted, str):
@@ -128,7 +130,8 @@ def _look(
 ) -> _Seen:
     output = network.run(sample, network.neighbours_of(sample))
     watch.stage("network")
-    again = sampled_again(network.metadata, frame, region, sample, output, depth_m=prior.depth_m)
+    known = sample.focus is not None
+    again = None if known else sampled_again(network.metadata, frame, region, sample, output, depth_m=prior.depth_m)
     if again is not None:
         watch.stage("sampling")
         sample, output = again, network.run(again, network.neighbours_of(again))

@@ -11,11 +11,12 @@ from page_runtime.articulation import PartEvidence
 from page_runtime.camera import Camera
 from page_runtime.category import Category
 from page_runtime.equivalents import Renaming, interchanged, turned_extents, turned_part
+from page_runtime.focus import Focus, focus_on
 from page_runtime.geometry import Array, apply, invert, transform_from
 from page_runtime.neighbours import nearest
 from page_runtime.part_poses import LabelledPoints
 from page_runtime.pose import ArticulatedPose, PartPose
-from page_runtime.sampling import Region
+from page_runtime.sampling import Region, square_region
 
 # Surfaces that stick out of the picture count as far as this many of its sides.
 _FAR_SIDES = 2
@@ -86,6 +87,16 @@ def expected_region(prior: Prior, category: Category, camera: Camera) -> Region 
     x, y = np.floor(low).astype(int)
     w, h = np.ceil(high - low).astype(int) + 1
     return int(x), int(y), int(w), int(h)
+
+
+def expected_focus(prior: Prior, category: Category, camera: Camera, region: Region) -> Focus | None:
+    """Where points of a thin object are to be taken, from where its surfaces are expected; None for a category that
+    fills its regions."""
+    if not category.focused:
+        return None
+    nowhere = np.empty((0, 3), np.float32)
+    surfaces = [nowhere if part is None else part.surface_camera for part in prior.parts]
+    return focus_on([camera.project(surface).astype(np.float32) for surface in surfaces], square_region(region)[2])
 
 
 def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floating]:
