@@ -21,8 +21,9 @@ from page_export.variants import CALIBRATION_FRAMES, Forms, chosen_for_calibrati
 from page_runtime.bundle_file import read_bundle
 from page_runtime.commands.outputs import require_file_place, require_folder_place
 from page_runtime.commands.usage import UsageError
-from page_runtime.estimator import sample_for
+from page_runtime.estimator import first_look
 from page_runtime.neighbours import find_neighbours
+from page_runtime.network import Network
 
 ROUNDS = 3
 # Objects that forms are measured on; a choice. What is decided on are medians and one failure more in a hundred parts:
@@ -145,17 +146,18 @@ def table(results: list[Measured], best: Measured, bound: float, frames: int) ->
 
 
 def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[TrueSample]]:
-    """The first regions and the others, with their truth; ValueError where there are too few."""
-    metadata = read_bundle(bundle).metadata
-    source = open_fitting(bundle, metadata.category, data, with_truth=True)
+    """The first regions and the others as the bundle's first look has them, with their truth; ValueError where there
+    are too few."""
+    network = Network(bundle)
+    source = open_fitting(bundle, network.metadata.category, data, with_truth=True)
     tested: list[TrueSample] = []
     others: list[TrueSample] = []
     for recorded in source:
         for instance in recorded.instances:
             if instance.region is None or instance.truths is None:
                 continue
-            sample = sample_for(metadata, recorded.frame, instance.region)
-            if isinstance(sample, str):
+            sample = first_look(network, recorded.frame, instance.region).sample
+            if sample is None:
                 continue
             given = sample, find_neighbours(sample.points_camera - sample.center_camera)
             (tested if len(tested) < frames else others).append((given, instance.truths))
