@@ -14,11 +14,12 @@ from benchmarks.synthetic import Noise
 from numpy.typing import NDArray
 
 from page_runtime.category import Category
-from page_runtime.estimator import sample_for
+from page_runtime.estimator import sample_for, sampled_again
 from page_runtime.geometry import apply
 from page_runtime.neighbours import Neighbours, answered_of
 from page_runtime.network import Network, NetworkOutput
 from page_runtime.part_masks import part_masks
+from page_runtime.part_poses import members_of
 from page_runtime.recorded import PartTruth, Source
 from page_runtime.sampling import RegionSample
 
@@ -55,10 +56,16 @@ def answers_of(network: Network, source: Source) -> dict[bytes, NetworkOutput]:
             sample = sample_for(metadata, recorded.frame, instance.region)
             if isinstance(sample, str):
                 continue
-            seen = masks.part_map(recorded.frame.index, i, recorded.frame.depth_m.shape).ravel()[sample.source_index]
-            labels = (seen.astype(np.intp) - 1) % (len(instance.truths) + 1)
+            part_map = masks.part_map(recorded.frame.index, i, recorded.frame.depth_m.shape).ravel().astype(np.intp)
             rng = np.random.default_rng([recorded.frame.index, i])
-            found[_key(sample)] = answer(metadata.category, sample, labels, instance.truths, rng)
+            while sample is not None:
+                labels = (part_map[sample.source_index] - 1) % (len(instance.truths) + 1)
+                said = answer(metadata.category, sample, labels, instance.truths, rng)
+                found[_key(sample)] = said
+                # Of a thin object the network is asked a second time.
+                members = members_of(said, sample.num_distinct)
+                first = sample.focus is None
+                sample = sampled_again(metadata, recorded.frame, instance.region, sample, members) if first else None
     return found
 
 

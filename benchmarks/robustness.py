@@ -2,8 +2,9 @@
 
     python benchmarks/robustness.py BUNDLE RECORDING [--json FILE]
 
-One look at each frame, with the same points for every setting before they are disturbed; then they are smoothed where
-they are noisy, as the runtime smooths those of a noisy sensor.
+One look at each frame, with the same points for every setting before they are disturbed (of thin objects the second
+ones are taken where the disturbed first ones show them); then they are smoothed where they are noisy, as the runtime
+smooths those of a noisy sensor.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from page_runtime.commands.usage import UsageError
 from page_runtime.denoising import denoised
 from page_runtime.estimator import sample_for, sampled_again
 from page_runtime.network import Network
-from page_runtime.part_poses import pose_from_output
+from page_runtime.part_poses import members_of, pose_from_output
 from page_runtime.pose import ArticulatedPose, not_seen
 from page_runtime.recorded import PartTruth, Source
 from page_runtime.validation.figures import figures_of
@@ -84,9 +85,11 @@ def _measured(network: Network, source: Source, perturbation: Any) -> dict[str, 
                 continue
             sample = denoised(perturbation(sample, rng))
             output = network.run(sample, network.neighbours_of(sample))
-            again = sampled_again(metadata, recorded.frame, instance.region, sample, output)
+            members = members_of(output, sample.num_distinct)
+            again = sampled_again(metadata, recorded.frame, instance.region, sample, members)
             if again is not None:
-                sample = denoised(perturbation(again, rng))
+                # The same sensor, with the same scale and offset.
+                sample = denoised(perturbation(again, np.random.default_rng(number_of_frame)))
                 output = network.run(sample, network.neighbours_of(sample))
             compared.append((pose_from_output(metadata, sample, output), instance.truths))
     return figures_of(metadata.category, compared)

@@ -17,6 +17,8 @@ from page_runtime.recorded import RecordedFrame
 from page_runtime.sampling import RegionSample, sample_region, square_region
 from page_runtime.sessions import DeadlineExceeded
 from page_training.categories import CATEGORIES
+from page_training.datasets.labelled import LabelledInstance
+from page_training.datasets.samples import records_of
 from page_training.focusing import MISSED_SHARE, guessed_focus, samples_of_region
 from page_training.scenes.kinds import scene_category
 from page_training.thinness import are_thin, part_shares
@@ -61,18 +63,28 @@ def test_points_within_reach_come_first_each_kind_in_its_own_order(seed: int, re
     assert not places or not others or max(places) < min(others)
 
 
+@pytest.mark.parametrize("side", [97, 120, 224, 240, 269, 300, 400])
+def test_every_pixel_of_the_lattice_lies_in_its_own_cell(side: int) -> None:
+    grid = min(side, 224) // 16 * 16
+    lattice = np.floor((np.arange(grid) + 0.5) * (side / grid))
+    seen = np.stack([lattice + 7, lattice + 9], axis=1).astype(np.float32)
+    focus = Focus(seen, np.zeros(grid, np.intp), 0.01)
+    ordered = focus.in_order(np.arange(grid * grid), (7, 9, side, side), grid)
+    assert ordered[:grid].tolist() == [k * (grid + 1) for k in range(grid)]
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_small_parts_get_more_than_their_share_and_every_prefix_as_much(seed: int) -> None:
     rng = np.random.default_rng(seed)
     grid, square = 96, (10, 20, 192, 192)
-    seen = [rng.uniform((10, 20), (202, 212), (count, 2)).astype(np.float32) for count in (3, 40)]
+    seen = [rng.integers((10, 20), (202, 212), (count, 2)).astype(np.float32) for count in (3, 40)]
     focus = focus_on(seen, 192)
     assert focus is not None
     cells = rng.permutation(grid * grid)
     ordered = focus.in_order(cells, square, grid)
     assert sorted(ordered) == list(range(grid * grid))
-    at = np.stack([ordered % grid, ordered // grid], axis=1) * 2.0 + (11, 21)
+    at = np.stack([ordered % grid, ordered // grid], axis=1) * 2.0 + (10.5, 20.5)
     away = [np.linalg.norm(at[:, None] - own[None], axis=2).min(axis=1) for own in seen]
     near = np.minimum(*away) < 0.98 * focus.reach_px - 4
     # Where both parts are about as near, a lattice does not say whose a cell is.
@@ -107,12 +119,9 @@ def test_points_too_few_to_be_an_object_are_no_focus() -> None:
     assert focus.reach_px == pytest.approx(100 * REACH)
 
 
-def truth_answer(sample: RegionSample, masks, answered: int) -> NetworkOutput:
+def true_members(sample: RegionSample, masks, answered: int) -> list[np.ndarray]:
     """What a network would say that knows the parts of all points."""
-    on = np.stack([mask.ravel()[sample.source_index[:answered]] for mask in masks], axis=1)
-    logits = np.concatenate([on, ~on.any(axis=1, keepdims=True)], axis=1).astype(np.float32)
-    zeros = np.zeros((answered, 6), np.float32)
-    return NetworkOutput(logits, zeros, zeros[:, :3], np.ones((2, 3), np.float32))
+    return [np.flatnonzero(mask.ravel()[sample.source_index[:answered]]) for mask in masks]
 
 
 def test_a_second_sample_has_the_object_and_little_else(oracle_bundle) -> None:
@@ -122,15 +131,15 @@ def test_a_second_sample_has_the_object_and_little_else(oracle_bundle) -> None:
     wide = (x - 80, y - 80, w + 160, h + 160)
     first = sample_for(metadata, recorded.frame, wide)
     assert isinstance(first, RegionSample)
-    output = truth_answer(first, masks, 1024)
-    second = sampled_again(metadata, recorded.frame, wide, first, output)
+    members = true_members(first, masks, 1024)
+    second = sampled_again(metadata, recorded.frame, wide, first, members)
     assert second is not None
     shares = [np.any(masks, axis=0).ravel()[one.source_index[:1024]].mean() for one in (first, second)]
     assert shares[1] > 1.5 * shares[0]
-    nothing = replace(output, part_logits=np.tile(np.array([0, 0, 1], np.float32), (1024, 1)))
+    nothing = [own[:0] for own in members]
     assert sampled_again(metadata, recorded.frame, wide, first, nothing) is None
     broad = replace(metadata, category=CATEGORY)
-    assert sampled_again(broad, recorded.frame, wide, first, output) is None
+    assert sampled_again(broad, recorded.frame, wide, first, members) is None
 
 
 @pytest.mark.parametrize("focused", [False, True])
@@ -142,7 +151,27 @@ def test_a_thin_object_is_looked_at_twice(oracle_bundle, focused: bool) -> None:
     examined = examine(network, recorded.frame, region, max_looks=1)
     assert examined.sample is network.samples[-1]
     assert network.focused() == [False, True][: 1 + focused]
-    assert examined.pose.stage_ms["network"] > 0.0
+
+
+class Nearsighted(WatchedNetwork):
+    """One that recognises nothing from nearby."""
+
+    def run(self, sample: RegionSample, *arguments, **more) -> NetworkOutput:
+        output = super().run(sample, *arguments, **more)
+        if sample.focus is None:
+            return output
+        return replace(output, part_logits=np.tile(np.array([0, 0, 1], np.float32), (len(output.part_logits), 1)))
+
+
+def test_what_is_not_recognised_from_nearby_is_what_the_first_sample_showed(oracle_bundle) -> None:
+    network = Nearsighted(oracle_bundle, focused=True)
+    recorded = toy_frame()[0]
+    region = recorded.instances[0].region
+    assert region is not None
+    examined = examine(network, recorded.frame, region, max_looks=1)
+    assert examined.sample is network.samples[0]
+    assert all(isinstance(part, PartPose) for part in examined.pose.parts)
+    assert network.focused() == [False, True]
 
 
 class Late(WatchedNetwork):
@@ -211,8 +240,30 @@ def test_training_has_the_samples_the_runtime_takes(category) -> None:
         samples[0].points_camera, sampled(recorded.frame, region, num_points=2048).points_camera
     )
     assert [one.focus is not None for one in samples] == [False, True][: 1 + category.focused]
+    for second in samples[1:]:
+        focus = second.focus
+        assert focus is not None
+        assert focus.reach_px == pytest.approx(REACH * square_region(region)[2])
+        again = sampled(recorded.frame, region, focus, num_points=2048)
+        np.testing.assert_array_equal(second.points_camera, again.points_camera)
+        columns, rows = focus.pixels.astype(int).T
+        on_object = part[rows * recorded.frame.camera.width + columns] < 2
+        assert on_object.mean() > 0.6
     blind = replace(recorded.frame, depth_m=np.zeros_like(recorded.frame.depth_m))
     assert samples_of_region(category, blind, region, 0.1, lambda _: part[:2048], np.random.default_rng(0)) == []
+
+
+def test_cuts_of_real_pictures_are_two_samples_of_a_thin_object() -> None:
+    recorded, masks = toy_frame()
+    (instance,) = recorded.instances
+    assert instance.region is not None
+    assert instance.truths is not None
+    part_mask = np.where(masks[0], 1, np.where(masks[1], 2, 0)).astype(np.uint8)
+    labelled = LabelledInstance(recorded.frame, instance.region, part_mask, instance.truths)
+    broad, thin = (records_of(labelled, one, 3, np.random.default_rng(0)) for one in (CATEGORY, THIN))
+    assert (len(broad), len(thin)) == (3, 6)
+    shares = (thin["labels"] < 2).mean(axis=1)
+    assert (shares[1::2] > shares[::2]).all()
 
 
 @pytest.mark.parametrize("name", CATEGORIES)

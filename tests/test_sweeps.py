@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from page_runtime.neighbours import GROUP_SIZE, INTERPOLATION_SIZE, answered_of,
 from page_runtime.pose import NotSeen
 from page_training.categories import CATEGORIES
 from page_training.network import PageNetwork, keypoints_of
+from toy import CATEGORY, part_poses, write_oracle_bundle
 
 BOX = CATEGORIES["box"]
 
@@ -75,6 +77,22 @@ def test_known_answers_give_poses_as_good_as_a_trained_networks(oracle_bundle: P
         assert not isinstance(other, NotSeen)
         error = np.linalg.norm(part.T_camera_part[:3, 3] - truth.T_camera_part[:3, 3])
         assert np.linalg.norm(other.T_camera_part[:3, 3] - truth.T_camera_part[:3, 3]) < error < 0.02
+
+
+def test_known_answers_of_a_thin_object_are_of_both_samples(tmp_path: Path, toy_recording: Path) -> None:
+    source = open_source(toy_recording)
+    recorded = source.entries[0].read()
+    (instance,) = recorded.instances
+    assert instance.region is not None
+    assert instance.truths is not None
+    thin = replace(CATEGORY, focused=True)
+    bundle = write_oracle_bundle(tmp_path / "thin.onnx", recorded.frame, instance.region, part_poses(), thin)
+    network = KnownAnswers(bundle, source, threads=1)
+    assert len(network.answers) == 2
+    pose = estimate(network, recorded.frame, instance.region, max_looks=1)
+    for part, truth in zip(pose.parts, instance.truths, strict=True):
+        assert not isinstance(part, NotSeen)
+        assert np.linalg.norm(part.T_camera_part[:3, 3] - truth.T_camera_part[:3, 3]) < 0.02
 
 
 def measurement(p50_ms: float, stable: bool = True) -> dict[str, Any]:

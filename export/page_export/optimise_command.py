@@ -147,7 +147,7 @@ def table(results: list[Measured], best: Measured, bound: float, frames: int) ->
 
 def _samples(bundle: Path, data: Path, frames: int) -> tuple[list[TrueSample], list[TrueSample]]:
     """The first regions and the others as the bundle's first look has them, with their truth; ValueError where there
-    are too few."""
+    are too few. Of thin objects those are taken where the bundle itself saw them, whatever a form would have seen."""
     network = Network(bundle)
     source = open_fitting(bundle, network.metadata.category, data, with_truth=True)
     tested: list[TrueSample] = []

@@ -11,7 +11,7 @@ import onnxruntime as ort
 
 from page_export.scorer_graph import CENTER, DISTINCT, OUTPUTS
 from page_runtime.capture.playback import open_source
-from page_runtime.estimator import sample_for
+from page_runtime.estimator import first_look
 from page_runtime.neighbours import find_neighbours
 from page_runtime.network import Network, NetworkOutput, feeds
 from page_runtime.part_poses import members_of, votes_of
@@ -50,8 +50,8 @@ def measure_scorer(bundle: Network, graph: bytes, recording: Path, *, threads: i
     ):
         if len(times) == limit:
             break
-        sample = None if region is None else sample_for(metadata, frame, region)
-        if sample is None or isinstance(sample, str):
+        sample = None if region is None else first_look(bundle, frame, region).sample
+        if sample is None:
             continue
         given = feeds(metadata, sample, find_neighbours(sample.points_camera - sample.center_camera))
         began = perf_counter()

@@ -71,6 +71,11 @@ def load_checkpoint(path: Path, category: Category | None = None) -> dict[str, A
         raise ValueError(f"checkpoint {path}: expected one written by page-train, got a file without {sorted(missing)}")
     if category is not None and _trained_for(state) != json.loads(json.dumps(_as_trained(category_document(category)))):
         name = _trained_for(state).get("category")
+        if _differs_in_focus_alone(state, category):
+            raise ValueError(
+                f"checkpoint {path}: trained on other samples of {name!r} than are taken now, as its objects are thin; "
+                "begin a new run with it (--from, with another --run)"
+            )
         raise ValueError(
             f"checkpoint {path}: trained for {name!r} with other parts, keypoints or sizes than {category.name!r} has "
             "now; train anew, or use the release that trained it"
@@ -86,6 +91,12 @@ def trained_category(state: dict[str, Any]) -> Category:
         return category_from(document)
     category = category_from(_trained_for(state))
     return replace(category, joints=CATEGORIES[category.name].joints)
+
+
+def _differs_in_focus_alone(state: dict[str, Any], category: Category) -> bool:
+    """Or not at all."""
+    now = json.loads(json.dumps(_as_trained(category_document(category))))
+    return _trained_for(state) | {"focused": True} == now | {"focused": True}
 
 
 def _trained_for(state: dict[str, Any]) -> dict[str, Any]:
@@ -116,8 +127,7 @@ def load_start(network: PageNetwork, category: Category, path: Path) -> int:
     ValueError for weights of another architecture.
     """
     state = load_checkpoint(path)
-    now = json.loads(json.dumps(_as_trained(category_document(category))))
-    if _trained_for(state) | {"focused": True} == now | {"focused": True}:
+    if _differs_in_focus_alone(state, category):
         load_average(network, state, path)
         return int(state["samples"])
     if _trained_for(state)["category"] == category.name:

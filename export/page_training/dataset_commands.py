@@ -34,7 +34,12 @@ def add_to(commands: Any) -> None:
     imported.add_argument("category", choices=known_categories())
     _dataset(imported)
     imported.add_argument("--cache", type=Path, required=True, help="of its own: pose --also draws from it")
-    imported.add_argument("--repeats", type=int, default=8, help="cuts of each instance (default: %(default)s)")
+    imported.add_argument(
+        "--repeats",
+        type=int,
+        default=8,
+        help="cuts of each instance (default: %(default)s)",
+    )
     imported.add_argument("--seed", type=int, default=0)
     evaluate = _command(commands, "evaluate", _evaluate, "compare a checkpoint's poses with true ones")
     evaluate.add_argument("checkpoint", type=Path, help="of page-train pose or keep")

@@ -22,6 +22,7 @@ from page_runtime.validation.figures import figures_of
 from page_training.config import VOXEL_M
 from page_training.network import NetworkInputs, NetworkOutputs, PageNetwork
 from page_training.records import IMAGE_SIZE
+from page_training.regressed import members_of
 
 PoseOf = Callable[[BundleMetadata, RegionSample, NetworkOutputs], ArticulatedPose]
 
@@ -88,7 +89,8 @@ def evaluate(
                 pose = not_seen(category, sample)
             else:
                 outputs = outputs_of(network, sample, metadata)
-                again = sampled_again(metadata, recorded.frame, instance.region, sample, _as_session(outputs, metadata))
+                members = members_of(sample, outputs)
+                again = sampled_again(metadata, recorded.frame, instance.region, sample, members)
                 if again is not None:
                     sample, outputs = again, outputs_of(network, again, metadata)
                 pose = pose_of(metadata, sample, outputs)

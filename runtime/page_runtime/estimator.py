@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.bundle import BundleMetadata
 from page_runtime.denoising import denoised
@@ -48,8 +49,9 @@ def estimate(
 
     A part without a pose comes with the reason. Where a pose is unlikely to be right the frame is looked at again, in a
     mirror and cut out otherwise, at most max_looks times in all, and the likeliest answer taken; each look takes about
-    the time of the first, so 1 is for loops whose time must not vary, but for what parts that make no sense one by one
-    cost (`whole_object`). max_voters: of a part's points, at most so many vote.
+    the time of the first (half of the network's where the category is of thin objects), so 1 is for loops whose time
+    must not vary, but for what parts that make no sense one by one cost (`whole_object`). max_voters: of a part's
+    points, at most so many vote.
     network_seconds: DeadlineExceeded where a forward pass takes longer; where there is an answer already, that stays.
     Raises ValueError for a region outside the image.
     """
@@ -111,7 +113,9 @@ def first_look(
         return FirstLook(reason=sample, stage_ms=watch.stage_ms)
     output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
     watch.stage("network")
-    if sample.other_depth_m is not None and not seen_parts(members_of(output, sample.num_distinct)):
+    members = members_of(output, sample.num_distinct)
+    again = sampled_again(metadata, frame, region, sample, members)
+    if sample.other_depth_m is not None and again is None and not seen_parts(members):
         # What is nearer is not the object, but something before it.
         behind = sample_for(metadata, frame, region, depth_m=sample.other_depth_m)
         watch.stage("sampling")
@@ -119,12 +123,15 @@ def first_look(
             sample, depth_m = behind, sample.other_depth_m
             output = network.run(sample, network.neighbours_of(sample), seconds=network_seconds)
             watch.stage("network")
-    again = sampled_again(metadata, frame, region, sample, output, depth_m=depth_m)
+            members = members_of(output, sample.num_distinct)
+            again = sampled_again(metadata, frame, region, sample, members, depth_m=depth_m)
     if again is not None:
         watch.stage("sampling")
         with suppress(DeadlineExceeded):
-            output = network.run(again, network.neighbours_of(again), seconds=network_seconds)
-            sample = again
+            found = network.run(again, network.neighbours_of(again), seconds=network_seconds)
+            # What is not recognised from nearby was none, but then there is nothing better.
+            if seen_parts(members_of(found, again.num_distinct)) or not seen_parts(members):
+                sample, output = again, found
         watch.stage("network")
     return FirstLook(sample, output, depth_m, stage_ms=watch.stage_ms)
 
@@ -134,17 +141,17 @@ def sampled_again(
     frame: RgbdFrame,
     region: Region,
     sample: RegionSample,
-    output: NetworkOutput,
+    members: Sequence[NDArray[np.intp]],
     *,
     depth_m: float | None = None,
 ) -> RegionSample | None:
     """Of a thin object the points where this sample of the region has them, for the network to look at instead; None
-    where the sample is all there is to see, or has nothing of the object. depth_m: what the sample was asked for."""
+    for a category that fills its regions, and where the sample has too little of the object. members: for each part
+    its points of the sample. depth_m: what the sample was asked for."""
     if not metadata.category.focused:
         return None
     rows, columns = np.divmod(sample.source_index, frame.depth_m.shape[1])
     pixels = np.stack([columns, rows], axis=1).astype(np.float32)
-    members = members_of(output, sample.num_distinct)
     focus = focus_on([pixels[own] for own in members], square_region(region)[2])
     again = None if focus is None else sample_for(metadata, frame, region, depth_m=depth_m, focus=focus)
     return again if isinstance(again, RegionSample) else None

@@ -50,7 +50,7 @@ class Focus:
     def _nearest(self, square: tuple[int, int, int, int], grid: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """For each cell how far the nearest point that was seen is, px, and which part that is of."""
         x, y, side, _ = square
-        cells = np.floor((self.pixels - np.array([x, y], np.float32)) * np.float32(grid / side)).astype(np.intp)
+        cells = np.floor((self.pixels + 0.5 - np.array([x, y])) * (grid / side)).astype(np.intp)
         inside = ((cells >= 0) & (cells < grid)).all(axis=1)
         if not inside.any():
             return np.full(grid * grid, np.inf, np.float32), np.zeros(grid * grid, np.intp)

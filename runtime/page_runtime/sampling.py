@@ -31,12 +31,12 @@ class RegionSample:
     """The visible points of a region.
 
     image: (S,S,3) uint8 RGB crop. points_camera: (N,3) float32 metres, in progressive order: every prefix covers the
-    region evenly, so the coarser levels of the network are prefixes and no farthest-point search is needed.
-    pixels: (N,2) float32 position of each point in the crop, px. center_camera: (3,) their mean. camera: the crop's.
-    source_index: (N,) index of each point in the flattened depth image it came from. num_distinct: points before
-    repetition (fewer than N valid readings are repeated in order). other_depth_m: of the thing that the region is about
-    if it is not about these points, None where depth shows but one. focus: where points were taken first, None for
-    everywhere alike.
+    region evenly (with a focus: what that covers), so the coarser levels of the network are prefixes and no farthest-
+    point search is needed. pixels: (N,2) float32 position of each point in the crop, px. center_camera: (3,) their
+    mean. camera: the crop's. source_index: (N,) index of each point in the flattened depth image it came from.
+    num_distinct: points before repetition (fewer than N valid readings are repeated in order). other_depth_m: of the
+    thing that the region is about if it is not about these points, None where depth shows but one. focus: where points
+    were taken first, None for everywhere alike.
     """
 
     image: NDArray[np.uint8]

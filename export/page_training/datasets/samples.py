@@ -28,19 +28,20 @@ _NORMAL_JUMP_M = 0.03
 
 
 def records_of(instance: LabelledInstance, category: Category, repeats: int, rng: np.random.Generator) -> NDArray[Any]:
-    """(R,) training records of `record_type`, R <= repeats, each of the region cut out and moved at random.
+    """(R,) training records of `record_type`, of the region cut out and moved at random `repeats` times; two of each
+    cut of thin objects (`focusing`).
 
     Fewer, or none, where the region holds too little depth.
     """
     frame = instance.frame
     normals = normals_camera(frame.depth_m, frame.camera)
-    records = np.zeros(repeats, record_type(len(category.parts)))
+    records = np.zeros((1 + category.focused) * repeats, record_type(len(category.parts)))
     filled = 0
     for _ in range(repeats):
         region = jittered(instance.region, rng, frame.camera.width, frame.camera.height)
         margin = float(rng.uniform(*_MARGINS))
         samples = samples_of_region(category, frame, region, margin, lambda one: _labels(instance, one), rng)
-        for sample in samples[: repeats - filled]:
+        for sample in samples:
             labels = _labels(instance, sample)
             fill_record(records[filled], sample, labels=labels, normals_camera=normals, truths=instance.truths)
             filled += 1

@@ -24,7 +24,7 @@ from page_runtime.live.near import agreement, fit_near, pose_near
 from page_runtime.live.prior import Prior, expected_focus, expected_region, prior_as_named, surfaces_of
 from page_runtime.live.track import Observation, Track, begun, prior_of, with_fit, with_observation
 from page_runtime.network import Network, NetworkOutput
-from page_runtime.part_poses import LabelledPoints, labelled_points, pose_from_output
+from page_runtime.part_poses import LabelledPoints, labelled_points, members_of, pose_from_output
 from page_runtime.pose import ArticulatedPose, PartPose
 from page_runtime.sampling import Region, RegionSample
 from page_runtime.stopwatch import Stopwatch
@@ -99,7 +99,14 @@ def advanced(
         return kept if again is None else again
     if not deadline.allows(search_s):
         return missed(track, region, "the track is in doubt, and there was no time for a full search", network=True)
-    return _checked(seen, near)
+    if focus is None:
+        return _checked(seen, near)
+    # Where it was expected it is not: nothing is known of where it is now.
+    anywhere = sample_for(network.metadata, frame, region, depth_m=prior.depth_m)
+    watch.stage("sampling")
+    if isinstance(anywhere, str):
+        return missed(track, region, anywhere, network=True)
+    return _checked(_look(network, track, frame, time_s, region, anywhere, prior, watch))
 
 
 def _where_it_is(seen: _Seen, kept: Advanced) -> Advanced | None:
@@ -130,8 +137,10 @@ def _look(
 ) -> _Seen:
     output = network.run(sample, network.neighbours_of(sample))
     watch.stage("network")
-    known = sample.focus is not None
-    again = None if known else sampled_again(network.metadata, frame, region, sample, output, depth_m=prior.depth_m)
+    again = None
+    if sample.focus is None:
+        members = members_of(output, sample.num_distinct)
+        again = sampled_again(network.metadata, frame, region, sample, members, depth_m=prior.depth_m)
     if again is not None:
         watch.stage("sampling")
         sample, output = again, network.run(again, network.neighbours_of(again))

@@ -79,7 +79,7 @@ def expected_region(prior: Prior, category: Category, camera: Camera) -> Region 
     points = np.concatenate(surfaces)
     if points[:, 2].min() < _NEAR_M:
         return None
-    pixels = (points @ camera.K.T)[:, :2] / points[:, 2:]
+    pixels = _pixels(points, camera)
     size = np.array([camera.width, camera.height])
     low, high = np.maximum(pixels.min(axis=0), 0.0), np.minimum(pixels.max(axis=0), size - 1.0)
     if (high - low < _LEAST_SIDE_PX).any():
@@ -96,7 +96,13 @@ def expected_focus(prior: Prior, category: Category, camera: Camera, region: Reg
         return None
     nowhere = np.empty((0, 3), np.float32)
     surfaces = [nowhere if part is None else part.surface_camera for part in prior.parts]
-    return focus_on([camera.project(surface).astype(np.float32) for surface in surfaces], square_region(region)[2])
+    seen = [_pixels(surface[surface[:, 2] > _NEAR_M], camera).astype(np.float32) for surface in surfaces]
+    return focus_on(seen, square_region(region)[2])
+
+
+def _pixels(points_camera: NDArray[np.floating], camera: Camera) -> NDArray[np.floating]:
+    """(n,2) px of points in front of the camera, wherever in the world that is."""
+    return (points_camera @ camera.K.T)[:, :2] / points_camera[:, 2:]
 
 
 def _outline(part: PartPrior, index: int, category: Category) -> NDArray[np.floating]:
