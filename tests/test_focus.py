@@ -269,7 +269,7 @@ def test_cuts_of_real_pictures_are_two_samples_of_a_thin_object() -> None:
 @pytest.mark.parametrize("name", CATEGORIES)
 def test_categories_of_thin_objects_are_those_that_say_so(name: str) -> None:
     kind, rng = scene_category(name), np.random.default_rng(0)
-    objects = [(model, kind.sample_states(rng, model)) for model in (kind.sample_object(rng) for _ in range(32))]
+    objects = [(model, kind.sample_states(rng, model)) for model in (kind.sample_object(rng) for _ in range(64))]
     assert are_thin(objects, rng) == CATEGORIES[name].focused
 
 

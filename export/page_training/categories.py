@@ -105,7 +105,6 @@ def _scissors() -> Category:
         # Left-handed scissors are right-handed ones with the other blade on top.
         mirror=Mirror(axis=2),
         interchange=Interchange(parts=(1, 0), axis=(0.0, 1.0, 0.0)),
-        focused=True,
     )
 
 

@@ -90,7 +90,9 @@ def trained_category(state: dict[str, Any]) -> Category:
     if document["category"] not in BUILT_IN:
         return category_from(document)
     category = category_from(_trained_for(state))
-    return replace(category, joints=CATEGORIES[category.name].joints)
+    now = CATEGORIES[category.name]
+    # Who learned from both kinds of samples knows the first, too; not the other way round.
+    return replace(category, joints=now.joints, focused=category.focused and now.focused)
 
 
 def _differs_in_focus_alone(state: dict[str, Any], category: Category) -> bool:

@@ -30,8 +30,6 @@ SCALE_SIGMA = 0.02
 _MOST_SCALE = 3.0
 _MEASURED = 48
 _DRAWN_A_MODEL = 4
-# Of the objects measured, so many are looked at.
-_SEEN = 32
 _STATE_TRIES = 30
 _FEW = 60
 _INSIDE = 0.6
@@ -247,7 +245,7 @@ def _measured(own: OwnCategory) -> Category:
         parts=tuple(parts),
         joints=joints,
         region_radius_m=1.15 * reach,
-        focused=are_thin(moved[:_SEEN], rng),
+        focused=are_thin(moved, rng),
     )
 
 
