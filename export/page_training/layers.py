@@ -171,8 +171,9 @@ class SetAbstraction(nn.Module):
     def forward(self, points: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
         position = self.position(points / self.radius)
         source = position if self.feature is None or features is None else position + self.feature(features)
-        centers = position[:, : index.shape[1]] - self.position.bias
-        edges = functional.relu(gather_rows(source, index) - centers.unsqueeze(2))
+        # Negated before it meets every neighbour: a difference's gradient would negate a tensor as large as the edges.
+        centers = self.position.bias - position[:, : index.shape[1]]
+        edges = functional.relu(gather_rows(source, index) + centers.unsqueeze(2))
         return functional.relu(self.norm(group_maximum(self.edge(edges))))
 
 

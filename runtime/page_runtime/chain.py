@@ -88,15 +88,18 @@ def misfits(piece: Piece, R: FloatArray, t: FloatArray) -> FloatArray:
     own = (piece.points - t[:, None]) @ R
     camera = -(t[:, None] @ R)[:, 0]
     # A point near a side that faces away is as far off as one that is only just near.
-    averted = (1.0 + NORMAL_WEIGHT) * near2 * (np.einsum("mk,mk->m", normals, places) - camera @ normals.T > 0.0)
+    averted = np.einsum("mk,mk->m", normals, places) - camera @ normals.T > 0.0
+    penalty = np.float32((1.0 + NORMAL_WEIGHT) * near2)
     products, features = distance_features(own, places, normals)
-    squares = products @ features + averted[:, None].astype(np.float32)
+    squares = (products.reshape(-1, products.shape[-1]) @ features).reshape(*own.shape[:2], -1)
+    squares += penalty * averted[:, None]
     least = squares.min(axis=2) + np.einsum("cnk,cnk->cn", own, own)
     # Samples stand further apart than points are off their surface.
     least = np.maximum(least / (1.0 + NORMAL_WEIGHT), 0.0)
     surface = np.mean(least / (least + near2), axis=1)
-    keypoints = size * piece.keypoints_unit @ R.transpose(0, 2, 1) + t[:, None]
-    reach = np.linalg.norm(piece.points[None, :, None] - keypoints[:, None], axis=3)
+    keypoints = size * piece.keypoints_unit
+    reach2 = np.einsum("cnk,cnk->cn", own, own)[..., None] + np.einsum("nk,nk->n", keypoints, keypoints)
+    reach = np.sqrt(np.maximum(reach2 - 2.0 * (own @ keypoints.T), 0.0))
     ratio2 = ((reach - piece.radii_m) / (_RADIUS_UNIT * size)) ** 2
     radial = np.mean(ratio2 / (1.0 + ratio2), axis=(1, 2))
     total = (1.0 - _RADIUS_SHARE) * surface + _RADIUS_SHARE * radial

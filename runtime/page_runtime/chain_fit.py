@@ -19,19 +19,20 @@ from page_runtime.joints import joint_residual, pair_columns
 from page_runtime.similarity import FloatArray, Similarities
 from page_runtime.surface_pairs import Placed, paired
 
-# Pairs further apart than this, in diagonals, round by round; the last until no step is longer than _SETTLED, rad and
-# diagonals.
-_GATES = (0.3, 0.25, 0.2, 0.16, 0.13, *[0.1] * 11)
+# Pairs further apart than this, in diagonals, round by round: first of a sketch of each part, then of all its points,
+# until no step is longer than _SETTLED, rad and diagonals.
+_DRAWN_GATES = (0.3, 0.25, 0.2, 0.16, 0.13, 0.1)
+_FITTED_GATES = (0.1,) * 10
 _SETTLED = 0.004
 _LOG_SCALE_SIGMA = 0.03
 # A round's steps are drawn towards none at all, rad and diagonals: pairs change with the pose.
 _STEP_SIGMA = 0.3
 _SIZE = 7
 _NO_STRETCH = np.zeros(3)
-# Parts that the search begins from, one after the other, and how many of its ends are moved onto their points. Of eight
+# Parts that the search begins from, one after the other, and how many of its ends are drawn near their points. Of eight
 # links of a half-trained network (a Panda, 50 validation frames) 15 % were within 5 degrees and 5 cm with four and two,
 # 12 % with four and one; one by one it had been 5 %.
-_ROOTS, _FITTED = 4, 2
+_ROOTS, _DRAWN = 4, 2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,12 +46,6 @@ class WholePose:
     extents_unit: FloatArray
     misfit: FloatArray
 
-    def misfit_of(self, count: int) -> FloatArray:
-        """(count,) of all of the category's parts, NaN for one that is not placed."""
-        misfit = np.full(count, np.nan)
-        misfit[list(self.parts)] = self.misfit
-        return misfit
-
 
 def whole_pose(
     category: Category, pieces: Sequence[Piece | None], known: Mapping[int, Similarities]
@@ -62,9 +57,10 @@ def whole_pose(
     """
     roots = sorted((k for k in known if pieces[k] is not None), key=lambda k: -len(_piece(pieces, k).points))
     placed = [placed_from(category, pieces, root, (known[root].R, known[root].t)) for root in roots[:_ROOTS]]
-    likely = sorted(placed, key=lambda one: _unexplained(one.misfit[0], pieces))[:_FITTED]
-    fitted = [_fitted(category, pieces, placements) for placements in likely]
-    return min(fitted, key=lambda one: _unexplained(one.misfit_of(len(pieces)), pieces), default=None)
+    likely = sorted(placed, key=lambda one: _unexplained(one.misfit[0], pieces))[:_DRAWN]
+    drawn = [_drawn(category, pieces, placements) for placements in likely]
+    best = min(drawn, key=lambda one: one.unexplained, default=None)
+    return None if best is None else _fitted(category, pieces, best)
 
 
 def _unexplained(misfit: FloatArray, pieces: Sequence[Piece | None]) -> float:
@@ -73,44 +69,74 @@ def _unexplained(misfit: FloatArray, pieces: Sequence[Piece | None]) -> float:
     return float(np.where(np.isnan(misfit), 1.0, misfit)[seen].sum())
 
 
-def _fitted(category: Category, pieces: Sequence[Piece | None], placements: Placements) -> WholePose:
-    """The best placement, moved onto its points."""
-    parts = np.flatnonzero(~np.isnan(placements.misfit[0])).tolist()
-    own = [_piece(pieces, k) for k in parts]
+@dataclass(frozen=True, eq=False, slots=True)
+class _Drawn:
+    """Poses of some parts, s their diagonals, and what they leave unexplained of all."""
+
+    parts: tuple[int, ...]
+    poses: Similarities
+    unexplained: float
+
+
+def _drawn(category: Category, pieces: Sequence[Piece | None], placements: Placements) -> _Drawn:
+    """The best placement, moved near its points by a sketch of each part."""
+    misfit = placements.misfit[0].copy()
+    parts = tuple(np.flatnonzero(~np.isnan(misfit)).tolist())
+    sketches = [_piece(pieces, k).sketch() for k in parts]
+    sizes = np.array([piece.diagonal_m for piece in sketches])
+    start = Similarities(placements.R[0, parts], placements.t[0, parts], sizes)
+    poses, _ = _moved(category, parts, sketches, start, _DRAWN_GATES)
+    misfit[list(parts)] = _misfits(sketches, poses)
+    return _Drawn(parts, poses, _unexplained(misfit, pieces))
+
+
+def _fitted(category: Category, pieces: Sequence[Piece | None], drawn: _Drawn) -> WholePose:
+    """What was drawn near, moved onto all of its points."""
+    own = [_piece(pieces, k) for k in drawn.parts]
+    poses, hessian = _moved(category, drawn.parts, own, drawn.poses, _FITTED_GATES)
     sizes = np.array([piece.diagonal_m for piece in own])
-    poses = Similarities(placements.R[0, parts], placements.t[0, parts], sizes)
+    # A part that nothing holds any more may be turned anyhow and be anywhere near.
+    floor = np.ones((len(own), _SIZE))
+    floor[:, :3], floor[:, 3:6] = np.pi**-2, sizes[:, None] ** -2
+    inverse = np.asarray(np.linalg.inv(hessian + np.diag(floor.reshape(-1))), np.float64)
+    blocks = [slice(_SIZE * i, _SIZE * (i + 1)) for i in range(len(own))]
+    return WholePose(
+        parts=drawn.parts,
+        poses=poses,
+        covariances=np.array([inverse[block, block] for block in blocks]),
+        extents_unit=np.array([piece.surface.extents_unit for piece in own]),
+        misfit=_misfits([piece.sketch() for piece in own], poses),
+    )
+
+
+def _misfits(sketches: Sequence[Piece], poses: Similarities) -> FloatArray:
+    return np.array([misfits(one, poses.R[i : i + 1], poses.t[i : i + 1])[0] for i, one in enumerate(sketches)])
+
+
+def _moved(
+    category: Category, parts: Sequence[int], own: Sequence[Piece], poses: Similarities, gates: Sequence[float]
+) -> tuple[Similarities, FloatArray]:
+    """The poses after a round a gate, fewer where they settle, and the last round's Hessian."""
+    sizes = np.array([piece.diagonal_m for piece in own])
     rows = {k: i for i, k in enumerate(parts)}
     joints = [joint for joint in category.joints if joint.parent in rows and joint.child in rows]
     extents = np.array([piece.surface.extents_unit for piece in own])
-    restraint = np.zeros((len(parts), _SIZE))
+    restraint = np.zeros((len(own), _SIZE))
     restraint[:, :3], restraint[:, 3:6] = _STEP_SIGMA**-2, (_STEP_SIGMA * sizes[:, None]) ** -2
-    hessian = np.eye(_SIZE * len(parts))
-    for gate in _GATES:
+    hessian = np.eye(_SIZE * len(own))
+    for gate in gates:
         hessian, gradient = _system(own, poses, sizes, gate)
         for joint in joints:
             pair = [rows[joint.parent], rows[joint.child]]
             residual = joint_residual(joint, poses.take(np.array(pair)), extents[pair])
             residual.add_to(hessian, gradient, pair_columns(pair))
         bounded = hessian + np.diag(restraint.reshape(-1))
-        steps = np.asarray(np.linalg.solve(bounded, gradient), np.float64)
-        steps = steps.reshape(-1, _SIZE)
+        steps = np.asarray(np.linalg.solve(bounded, gradient), np.float64).reshape(-1, _SIZE)
         poses = poses.moved(-steps)
         longest = max(np.abs(steps[:, :3]).max(), (np.abs(steps[:, 3:6]) / sizes[:, None]).max())
-        if gate == _GATES[-1] and longest <= _SETTLED:
+        if gate == gates[-1] and longest <= _SETTLED:
             break
-    # A part that nothing holds any more may be turned anyhow and be anywhere near.
-    floor = np.ones((len(parts), _SIZE))
-    floor[:, :3], floor[:, 3:6] = np.pi**-2, sizes[:, None] ** -2
-    inverse = np.asarray(np.linalg.inv(hessian + np.diag(floor.reshape(-1))), np.float64)
-    blocks = [slice(_SIZE * i, _SIZE * (i + 1)) for i in range(len(parts))]
-    final = [misfits(piece.sketch(), poses.R[i : i + 1], poses.t[i : i + 1])[0] for i, piece in enumerate(own)]
-    return WholePose(
-        parts=tuple(parts),
-        poses=poses,
-        covariances=np.array([inverse[block, block] for block in blocks]),
-        extents_unit=extents,
-        misfit=np.array(final),
-    )
+    return poses, hessian
 
 
 def _system(own: Sequence[Piece], poses: Similarities, sizes: FloatArray, gate: float) -> tuple[FloatArray, FloatArray]:
