@@ -27,6 +27,12 @@ def toy_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two pieces of work for validation. Read only."""
+    return toy.write_long_recording(tmp_path_factory.mktemp("long") / "toy")
+
+
+@pytest.fixture(scope="session")
 def oracle_bundle(tmp_path_factory: pytest.TempPathFactory, toy_recording: Path) -> Path:
     """A bundle that knows the poses in toy_recording. Read only."""
     from page_runtime import open_source

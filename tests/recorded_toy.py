@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -19,6 +21,12 @@ from page_runtime.capture.mcap_file import McapFile
 from page_runtime.frame import RgbdFrame
 from page_runtime.recorded import RecordedFrame
 
+# Of processes that record: they import these helpers.
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
+    "OMP_NUM_THREADS": "1",
+}
 FRAMES = 30
 BEGIN_S = 1_700_000_000.123456
 SKEW_S = 0.004

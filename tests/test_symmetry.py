@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,24 +15,16 @@ from page_runtime.category import Category
 from page_runtime.category_document import category_document, category_from
 from page_runtime.equivalents import nearest_renaming, nearest_truths, renamed_pose
 from page_runtime.evaluation import joint_errors, part_errors
-from page_runtime.geometry import Array, invert, rotation_about, rotation_angle, transform_from
+from page_runtime.geometry import invert, rotation_about, rotation_angle, transform_from
 from page_runtime.mirror import MIRROR, mirrored_pose
 from page_runtime.pose import ArticulatedPose, JointState, PartPose
 from page_runtime.recorded import PartTruth
-from page_runtime.similarity import so3_exp
 from page_runtime.symmetry import Interchange, Mirror, Symmetry, nearest_turn, turn_of
 from page_training.categories import CATEGORIES, category_named
-from page_training.losses import page_loss
-from page_training.network import NetworkOutputs
-from page_training.scenes.kinds import scene_category
-from page_training.targets import Truth, settled_targets, targets_of
+from symmetric_scenes import random_rotation, scene_pose
 
 ROOT = Path(__file__).resolve().parents[1]
 seeds = st.integers(0, 2**32 - 1)
-
-
-def random_rotation(rng: np.random.Generator) -> Array:
-    return so3_exp(rng.normal(size=(1, 3)))[0]
 
 
 @settings(max_examples=30, deadline=None)
@@ -50,21 +41,6 @@ def test_the_nearest_turn_is_the_best_of_all_there_are(seed: int, fold: int) -> 
         found = rotation_angle(turn_of(symmetry, nearest_turn(symmetry, wanted)), wanted)
         best = min(float(rotation_angle(turn_of(symmetry, turn), wanted)) for turn in turns)
         assert found <= best + 1e-9
-
-
-def scene_pose(category: Category, rng: np.random.Generator) -> tuple[tuple[PartTruth, ...], list[Array]]:
-    """Truths of a random object in a random pose, and its parts' poses."""
-    kind = scene_category(category.name)
-    model = kind.sample_object(rng)
-    states = kind.sample_states(rng, model)
-    T_camera_root = transform_from(random_rotation(rng), np.array([0.1, -0.1, 1.0]))
-    poses = model.poses(T_camera_root, states)
-    state_of = {joint.child: state for joint, state in zip(category.joints, states, strict=True)}
-    truths = tuple(
-        PartTruth(part.name, T, model.parts[k].extents_m, 1.0, state_of.get(k))
-        for k, (part, T) in enumerate(zip(category.parts, poses, strict=True))
-    )
-    return truths, poses
 
 
 def estimated(category: Category, truths: tuple[PartTruth, ...], states: list[float]) -> ArticulatedPose:
@@ -205,78 +181,6 @@ def test_a_joint_whose_range_is_not_its_mirror_image_s_has_none() -> None:
     with pytest.raises(ValueError, match="its own mirror image, got 'arm'"):
         mirrored_pose(ArticulatedPose((), (), {}), replace(arm, joints=joints))
     assert not replace(arm, mirror=None).joints_mirror
-
-
-def truth_of(category: Category, rng: np.random.Generator) -> Truth:
-    """Two random objects with labelled points on them."""
-    batch, K, D = 2, len(category.parts), 256
-    R, t, extents = np.empty((batch, K, 3, 3)), np.empty((batch, K, 3)), np.empty((batch, K, 3))
-    labels = rng.integers(0, K + 1, (batch, D))
-    points = np.empty((batch, D, 3))
-    for b in range(batch):
-        truths, poses = scene_pose(category, rng)
-        for k, (one, T) in enumerate(zip(truths, poses, strict=True)):
-            R[b, k], t[b, k], extents[b, k] = T[:3, :3], T[:3, 3] - [0.1, -0.1, 1.0], one.extents_m
-        own = np.minimum(labels[b], K - 1)
-        points[b] = t[b, own] + rng.normal(0, 0.05, (D, 3))
-    normals = rng.normal(size=(batch, D, 3))
-    return Truth(
-        R=torch.from_numpy(R).float(),
-        t=torch.from_numpy(t).float(),
-        extents_m=torch.from_numpy(extents).float(),
-        labels=torch.from_numpy(labels),
-        coarse_labels=torch.from_numpy(labels[:, :16]),
-        points=torch.from_numpy(points).float(),
-        normals=torch.from_numpy(normals).float(),
-    )
-
-
-def exact_outputs(truth: Truth, category: Category) -> NetworkOutputs:
-    """What a network says that knows this description."""
-    targets = targets_of(truth, category)
-    K = len(category.parts)
-
-    def sure(labels: torch.Tensor) -> torch.Tensor:
-        return 40.0 * torch.nn.functional.one_hot(labels, K + 1).float()
-
-    return NetworkOutputs(
-        part_logits=sure(targets.labels),
-        coarse_logits=sure(targets.coarse_labels),
-        radii=targets.radii,
-        keypoints=targets.keypoints,
-        side_logits=80.0 * (targets.sides - 0.5),
-        part_keypoints=(targets.part_keypoints,) * 3,
-        log_extents=targets.extents_m.log(),
-    )
-
-
-@pytest.mark.parametrize("name", ["scissors", "arm"])
-def test_training_asks_for_the_description_nearest_to_what_was_said(name: str) -> None:
-    """A network that knows one object of the batch by its other description loses nothing, and a wrong one does."""
-    category = category_named(name)
-    truth = truth_of(category, np.random.default_rng(4))
-    other = Truth(*(value.clone() for value in truth))
-    if category.interchange is not None:
-        turn = torch.from_numpy(category.interchange.turn).float()
-        swap = torch.tensor([1, 0, 2])
-        for field in ("t", "extents_m"):
-            getattr(other, field)[0] = getattr(truth, field)[0].flip(0)
-        other.R[0] = truth.R[0].flip(0) @ turn
-        for field in ("labels", "coarse_labels"):
-            getattr(other, field)[0] = swap[getattr(truth, field)[0]]
-    else:
-        half = torch.from_numpy(rotation_about(np.array([0.0, 0.0, 1.0]), np.pi)).float()
-        other.R[0, 6] = truth.R[0, 6] @ half
-    said = exact_outputs(other, category)
-    given = targets_of(truth, category)
-    assert float(page_loss(said, given)["total"]) > 0.1
-    assert float(page_loss(said, settled_targets(truth, given, said, category))["total"]) < 1e-4
-    exact = exact_outputs(truth, category)
-    settled = settled_targets(truth, given, exact, category)
-    for one, wanted in zip(settled, given, strict=True):
-        torch.testing.assert_close(one, wanted, atol=1e-5, rtol=1e-4)
-    plain = replace(category, interchange=None, parts=tuple(replace(p, symmetry=None) for p in category.parts))
-    assert settled_targets(truth, given, said, plain) is given
 
 
 @pytest.mark.parametrize("name", sorted(CATEGORIES))

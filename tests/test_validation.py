@@ -3,61 +3,18 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 import shutil
 import signal
 import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
-import toy
 from page_runtime.cli import main
-from page_runtime.content_hash import sha256_of
-from page_runtime.recording import RecordingWriter
-from page_runtime.validation import work
-from page_runtime.validation.cluster import ClusterUnavailable, by_cluster, do_as_here
-from page_runtime.validation.comparison import Comparison, comparison_document, comparison_from
-from page_runtime.validation.processes import by_processes, one_after_the_other
-from page_runtime.validation.results import ResultsFolder
-from page_runtime.validation.work import Task, do, split
-
-FRAMES = 36
-
-
-@pytest.fixture(scope="module")
-def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two pieces of work: frames of the toy that differ in their noise, some of them blind. Read only."""
-    rng = np.random.default_rng(0)
-    recorded, masks = toy.toy_frame(toy.toy_camera(160, 120))
-    path = tmp_path_factory.mktemp("long") / "toy"
-    with RecordingWriter(path, category="box", part_names=("base", "lid"), depth_unit_mm=0.1) as writer:
-        for index in range(FRAMES):
-            depth_m = recorded.frame.depth_m + rng.normal(0, 0.001, recorded.frame.depth_m.shape).astype(np.float32)
-            if index % 20 == 7:
-                depth_m[:] = 0
-            frame = type(recorded.frame)(recorded.frame.color, depth_m, recorded.frame.camera, index / 30, index)
-            writer.write(type(recorded)(frame, recorded.instances), masks=[masks])
-    return path
-
-
-def tasks_of(recording: Path, bundle: Path) -> list[Task]:
-    hashes = sha256_of(recording), sha256_of(bundle)
-    return [
-        Task(str(recording), hashes[0], str(bundle), hashes[1], first, last, looks=1, window_s=0.02, threads=1)
-        for first, last in split(FRAMES, 5)
-    ]
-
-
-@pytest.fixture(scope="module")
-def expected(long_recording: Path, oracle_bundle: Path) -> dict[Task, tuple[Comparison, ...]]:
-    """The results of this process. Read only."""
-    return dict(one_after_the_other(tasks_of(long_recording, oracle_bundle), lambda: None))
+from page_runtime.validation.work import Task, do
+from toy import LONG
 
 
 def validate(recordings: list[Path], bundle: Path, out: Path, *more: str) -> bytes:
@@ -84,7 +41,7 @@ def test_the_document_is_the_same_to_the_byte_again_by_two_processes_and_from_ke
         "page_runtime.validation.processes.do", lambda task, on_frame: (done.append(task), do(task, on_frame))[1]
     )
     assert validate(recordings, oracle_bundle, tmp_path / "4.json", "--results", str(results)) == first
-    assert [(task.first, task.last) for task in done] == [(0, 20), (20, FRAMES)]
+    assert [(task.first, task.last) for task in done] == [(0, 20), (20, LONG)]
     assert validate(recordings, oracle_bundle, tmp_path / "5.json", "--results", str(results)) == first
     assert len(done) == 2
     # Another setting is other work.
@@ -106,10 +63,10 @@ def test_several_recordings_are_summed_up_together_and_one_by_one(
     long_recording: Path, toy_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
     document = json.loads(validate([long_recording, toy_recording], oracle_bundle, tmp_path / "v.json"))
-    assert document["frames"] == FRAMES + 3
+    assert document["frames"] == LONG + 3
     names = [one["recording"] for one in document["recordings"]]
     assert len(set(names)) == 2, "both folders are called toy"
-    assert [one["frames"] for one in document["recordings"]] == [FRAMES, 3]
+    assert [one["frames"] for one in document["recordings"]] == [LONG, 3]
     (category,) = document["categories"]
     assert category["frames"] == document["frames"]
     for k, part in enumerate(document["parts"]):
@@ -139,78 +96,6 @@ def test_masks_of_other_parts_are_found_out(oracle_bundle: Path, toy_recording: 
     assert figures["segmentation"] == {"points": 0, "accuracy": None, "accuracy_on_object": None}
 
 
-def test_comparisons_survive_json_unchanged(expected: dict[Task, tuple[Comparison, ...]]) -> None:
-    for one in (one for found in expected.values() for one in found):
-        assert comparison_from(json.loads(json.dumps(comparison_document(one)))) == one
-
-
-def test_results_are_of_one_bundle_and_setting(
-    expected: dict[Task, tuple[Comparison, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = ResultsFolder(tmp_path)
-    task, found = next(iter(expected.items()))
-    assert folder.kept(task) is None
-    folder.keep(task, found)
-    assert folder.kept(task) == found
-    from dataclasses import replace
-
-    assert folder.kept(replace(task, recording="/elsewhere/toy")) == found
-    assert folder.kept(replace(task, threads=7)) is None
-    assert folder.kept(replace(task, looks=2)) is None
-    assert folder.kept(replace(task, bundle_sha256="0" * 64)) is None
-    monkeypatch.setattr("page_runtime.validation.results.own_code_sha256", lambda: "other code")
-    assert folder.kept(task) is None
-
-
-def test_a_process_that_is_killed_loses_no_result(expected: dict[Task, tuple[Comparison, ...]]) -> None:
-    found: dict[Task, tuple[Comparison, ...]] = {}
-    for task, result in by_processes(list(expected), 2):
-        if not found:
-            victims = multiprocessing.active_children()
-            assert victims
-            victims[0].kill()
-        assert task not in found
-        found[task] = result
-    assert found == expected
-
-
-def test_a_worker_of_a_cluster_that_is_killed_loses_no_result(
-    expected: dict[Task, tuple[Comparison, ...]],
-) -> None:
-    distributed = pytest.importorskip("distributed", reason="the cluster needs the extra cluster")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        workers = list(client.run(os.getpid).values())
-        assert len(set(workers)) == 2
-        found: dict[Task, tuple[Comparison, ...]] = {}
-        for task, result in by_cluster(list(expected), cluster.scheduler_address):
-            if not found:
-                os.kill(workers[0], signal.SIGKILL)
-            found[task] = result
-    assert found == expected
-
-
-def test_a_worker_that_runs_other_code_gives_no_result(expected: dict[Task, tuple[Comparison, ...]]) -> None:
-    with pytest.raises(ClusterUnavailable, match="runs another version of page_runtime"):
-        do_as_here(next(iter(expected)), "of other code")
-
-
-def test_a_cluster_that_does_not_answer_is_a_sentence(
-    long_recording: Path, oracle_bundle: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("page_runtime.validation.cluster.CONNECT_TIMEOUT_S", 1)
-    call = ["validate", str(long_recording), "--bundle", str(oracle_bundle), "--cluster", "tcp://127.0.0.1:1"]
-    assert main([*call, "--quiet"]) == 2
-    assert "no Dask scheduler answers at tcp://127.0.0.1:1" in capsys.readouterr().err
-    with pytest.raises(ClusterUnavailable):
-        list(by_cluster([], "tcp://127.0.0.1:1"))
-
-
 def test_an_interrupted_validation_goes_on_where_it_was(
     long_recording: Path, oracle_bundle: Path, tmp_path: Path
 ) -> None:
@@ -234,7 +119,7 @@ def test_an_interrupted_validation_goes_on_where_it_was(
     assert [path.name for path in results.rglob("*.json")] == ["000000-000020.json"]
     again = subprocess.run([*command, "--results", str(results)], capture_output=True, text=True, check=True)
     assert "20 frames were done before" in again.stderr
-    assert f"frame {FRAMES - 20} of {FRAMES - 20}" in again.stderr
+    assert f"frame {LONG - 20} of {LONG - 20}" in again.stderr
 
 
 BAD_CALLS: dict[str, tuple[list[str], str]] = {
@@ -316,12 +201,5 @@ def test_pictures_of_several_recordings_lie_in_folders_of_their_own(
     validate([toy_recording, long_recording], oracle_bundle, tmp_path / "2", "--overlay", str(both), "--processes", "2")
     assert sorted(len(list(folder.glob("*.jpg"))) for folder in {path.parent for path in both.rglob("*.jpg")}) == [
         3,
-        FRAMES,
+        LONG,
     ]
-
-
-def test_pieces_of_work_cover_every_frame_once() -> None:
-    for frames in (0, 1, 19, 20, 21, 40, 47):
-        pieces: list[Any] = list(split(frames))
-        assert [i for first, last in pieces for i in range(first, last)] == list(range(frames))
-        assert all(0 < last - first <= work.FRAMES_PER_TASK for first, last in pieces)

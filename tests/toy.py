@@ -28,6 +28,8 @@ from page_runtime.sampling import Region, sample_region
 from page_runtime.signature import INPUT_NAMES, OUTPUT_NAMES
 from synthetic_parts import box_template
 
+# Frames of the long recording: two of the pieces that validation shares out.
+LONG = 36
 IMAGE_SIZE = 224
 STATE_RAD = 1.9
 EXTENTS_M = (np.array([0.22, 0.10, 0.05]), np.array([0.22, 0.10, 0.02]))
@@ -121,6 +123,20 @@ def write_toy_recording(path: Path, *, frames: int = 3, blind: tuple[int, ...] =
     with RecordingWriter(path, category="box", part_names=("base", "lid"), depth_unit_mm=0.1) as writer:
         for i in range(frames):
             writer.write(without_depth(recorded) if i in blind else recorded, masks=(masks,))
+    return path
+
+
+def write_long_recording(path: Path) -> Path:
+    """LONG frames that differ in their noise, every twentieth blind."""
+    rng = np.random.default_rng(0)
+    recorded, masks = toy_frame(toy_camera(160, 120))
+    with RecordingWriter(path, category="box", part_names=("base", "lid"), depth_unit_mm=0.1) as writer:
+        for index in range(LONG):
+            depth_m = recorded.frame.depth_m + rng.normal(0, 0.001, recorded.frame.depth_m.shape).astype(np.float32)
+            if index % 20 == 7:
+                depth_m[:] = 0
+            frame = RgbdFrame(recorded.frame.color, depth_m, recorded.frame.camera, index / 30, index)
+            writer.write(RecordedFrame(frame, recorded.instances), masks=[masks])
     return path
 
 
