@@ -41,9 +41,9 @@ class Focus:
         away_px, part = self._nearest(square, grid)
         within = away_px[cells] <= self.reach_px
         near, others = cells[within], cells[~within]
-        turn = np.empty(len(near))
-        for k in np.unique(part[near]):
-            own = np.flatnonzero(part[near] == k)
+        turn, part = np.empty(len(near)), part[near]
+        for k in range(int(self.parts.max(initial=-1)) + 1):
+            own = np.flatnonzero(part == k)
             turn[own] = (np.arange(len(own)) + 0.5) / np.sqrt(len(own))
         return np.concatenate([near[np.argsort(turn, kind="stable")], others])
 

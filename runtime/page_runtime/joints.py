@@ -103,8 +103,9 @@ def _turn(joint: Joint, pair: Similarities) -> Residual:
     jacobian = np.zeros((3, 14))
     if joint.kind == "revolute":
         parent, child = pair.R @ np.array(joint.axis)
-        jacobian[:, :3], jacobian[:, 7:10] = skew(child) @ skew(parent), -skew(parent) @ skew(child)
-        return Residual(np.cross(parent, child) / AXIS_SIGMA_RAD, jacobian / AXIS_SIGMA_RAD)
+        by_parent, by_child = skew(parent), skew(child)
+        jacobian[:, :3], jacobian[:, 7:10] = by_child @ by_parent, -by_parent @ by_child
+        return Residual(by_parent @ child / AXIS_SIGMA_RAD, jacobian / AXIS_SIGMA_RAD)
     turn = so3_log((pair.R[1] @ pair.R[0].T)[None])[0]
     left = inverse_left_jacobian(turn)
     # A step of the parent enters from the right, by the inverse right Jacobian: the left one transposed.
