@@ -9,9 +9,9 @@ import pytest
 
 from page_runtime.articulation import PartEvidence, articulate
 from page_runtime.category import Category, Joint, JointGeometry, JointKind, Part
-from page_runtime.chain import Piece, misfits
 from page_runtime.chain_fit import WholePose, whole_pose
 from page_runtime.geometry import rotation_about, rotation_angle, transform_from
+from page_runtime.pieces import Piece, misfits
 from page_runtime.registration import Observed, registered_at
 from page_runtime.similarity import FloatArray as Array
 from page_runtime.similarity import Similarities, so3_exp
@@ -150,13 +150,27 @@ def test_a_part_that_its_points_do_not_hold_is_told_as_unknown() -> None:
     assert np.linalg.cond(whole.covariances[3]) < 1e9
 
 
-def test_what_is_behind_a_part_without_points_is_left_out() -> None:
+@pytest.mark.parametrize("unseen", [1, 2])
+def test_what_is_behind_a_part_without_points_is_placed_through_it(unseen: int) -> None:
     category = chain_of(("revolute",) * 3)
     T = posed(category, STATES, root_pose(0))
-    whole = whole_pose(category, [piece(T[0]), piece(T[1]), None, piece(T[3])], {0: similarity(T[0])})
+    pieces: list[Piece | None] = [piece(one) for one in T]
+    pieces[unseen] = None
+    whole = whole_pose(category, pieces, {0: similarity(T[0])})
+    assert whole is not None
+    assert whole.parts == tuple(k for k in range(4) if k != unseen)
+    assert errors(whole, T)[0] < 4.0
+    assert whole_pose(category, pieces, {}) is None
+
+
+def test_what_is_behind_a_part_without_points_and_surface_is_left_out() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(0))
+    bare = tuple(replace(part, template=None) if k == 2 else part for k, part in enumerate(category.parts))
+    pieces = [piece(T[0]), piece(T[1]), None, piece(T[3])]
+    whole = whole_pose(replace(category, parts=bare), pieces, {0: similarity(T[0])})
     assert whole is not None
     assert whole.parts == (0, 1)
-    assert whole_pose(category, [None, piece(T[1])], {}) is None
 
 
 def test_turning_the_camera_turns_what_is_found() -> None:

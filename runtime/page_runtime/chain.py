@@ -4,32 +4,21 @@ one.
 A network tells whose points are whose long before it tells how slim parts of many are turned. But on an object whose
 joints and surfaces are known each further part has one unknown, its joint's state. From a part with a pose the states
 of its joints are tried one after the other, outwards; every placement is judged by the points of the part that it
-places, and the few best go on to the next joint. `chain_fit` then moves all parts of the best at once.
+places, and the few best, moved onto all points so far (`chain_motion`), go on to the next joint. `chain_fit` then moves
+all parts of the best once more, now that the joints give, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from page_runtime.category import Category, Joint, JointGeometry
-from page_runtime.multilateration import thinned
+from page_runtime.chain_motion import Link, settled
+from page_runtime.pieces import Piece, Placements, misfits
 from page_runtime.similarity import FloatArray, so3_exp
-from page_runtime.surface_pairs import NORMAL_WEIGHT, distance_features
-from page_runtime.template import Template
 
-# Of a part, enough to tell placements apart.
-_POINTS = 40
-_SAMPLES = 160
-# Where a point stops to tell how far off a part is: of the sensor and the network's cut, and of a diagonal.
-_NEAR_M = 0.006
-_NEAR_UNIT = 0.03
-# Radii err in common, and say least where a part's pose is in doubt.
-_RADIUS_UNIT = 0.1
-_RADIUS_SHARE = 0.3
 # Tried states: steps of a revolute joint, rad, and of a prismatic one, in diagonals of the part that slides; at most.
 _STEP_RAD = 0.22
 _STEP_UNIT = 0.06
@@ -37,81 +26,18 @@ _MOST_STATES = 30
 # Placements that go on to the next joint, and how different they are in some part, in its diagonals.
 _KEPT = 6
 _DISTINCT = 0.2
+# After a part without points, of which nothing but what is beyond it can tell the state: all states of the best one.
+_KEPT_UNSEEN = 32
 # Turns about its joints that the first part's pose is tried with.
 _ROOT_TURNS = 12
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Piece:
-    """What a part is placed by. points (m,3) m, camera; radii_m (m,n) to keypoints_unit (n,3); diagonal_m, and surface,
-    stretched to its box."""
-
-    points: FloatArray
-    radii_m: FloatArray
-    keypoints_unit: FloatArray
-    diagonal_m: float
-    surface: Template
-
-    @property
-    def extents_m(self) -> FloatArray:
-        return self.diagonal_m * self.surface.extents_unit
-
-    def sketch(self) -> Piece:
-        """With as many points and samples as tell placements apart."""
-        some = thinned(len(self.points), _POINTS)
-        few = thinned(len(self.surface.points_unit), _SAMPLES)
-        surface = Template(self.surface.points_unit[few], self.surface.normals_unit[few], self.surface.extents_unit)
-        return replace(self, points=self.points[some], radii_m=self.radii_m[some], surface=surface)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Placements:
-    """C ways to place the K parts. R (C,K,3,3), t (C,K,3) m; misfit (C,K) of each part, NaN where it is not placed."""
-
-    R: FloatArray
-    t: FloatArray
-    misfit: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.R)
-
-    def take(self, chosen: NDArray[np.intp]) -> Placements:
-        return Placements(self.R[chosen], self.t[chosen], self.misfit[chosen])
-
-
-def misfits(piece: Piece, R: FloatArray, t: FloatArray) -> FloatArray:
-    """(C,) in [0, 1] of poses R (C,3,3), t (C,3): how far the part's points are from the side of its surface that faces
-    the camera, and its keypoints from where the radii have them; each point counts at most 1."""
-    size = piece.diagonal_m
-    near2 = max(_NEAR_M, _NEAR_UNIT * size) ** 2
-    places, normals = size * piece.surface.points_unit, piece.surface.normals_unit
-    own = (piece.points - t[:, None]) @ R
-    camera = -(t[:, None] @ R)[:, 0]
-    # A point near a side that faces away is as far off as one that is only just near.
-    averted = np.einsum("mk,mk->m", normals, places) - camera @ normals.T > 0.0
-    penalty = np.float32((1.0 + NORMAL_WEIGHT) * near2)
-    products, features = distance_features(own, places, normals)
-    squares = (products.reshape(-1, products.shape[-1]) @ features).reshape(*own.shape[:2], -1)
-    squares += penalty * averted[:, None]
-    least = squares.min(axis=2) + np.einsum("cnk,cnk->cn", own, own)
-    # Samples stand further apart than points are off their surface.
-    least = np.maximum(least / (1.0 + NORMAL_WEIGHT), 0.0)
-    surface = np.mean(least / (least + near2), axis=1)
-    keypoints = size * piece.keypoints_unit
-    reach2 = np.einsum("cnk,cnk->cn", own, own)[..., None] + np.einsum("nk,nk->n", keypoints, keypoints)
-    reach = np.sqrt(np.maximum(reach2 - 2.0 * (own @ keypoints.T), 0.0))
-    ratio2 = ((reach - piece.radii_m) / (_RADIUS_UNIT * size)) ** 2
-    radial = np.mean(ratio2 / (1.0 + ratio2), axis=(1, 2))
-    total = (1.0 - _RADIUS_SHARE) * surface + _RADIUS_SHARE * radial
-    # A place that is no number fits nothing.
-    return np.nan_to_num(np.asarray(total, np.float64), nan=1.0)
 
 
 def placed_from(
     category: Category, pieces: Sequence[Piece | None], root: int, starts: tuple[FloatArray, FloatArray]
 ) -> Placements:
     """The best placements of all parts that joints of a known place tie to part `root`, best first, from poses of that
-    part: starts R (S,3,3), t (S,3). pieces: of the category's parts, None for one without points, which is not placed.
+    part: starts R (S,3,3), t (S,3). pieces: of the category's parts, None for one that is not placed; one without
+    points is placed where others are beyond it.
     """
     sketches = [None if piece is None else piece.sketch() for piece in pieces]
     first = sketches[root]
@@ -122,24 +48,54 @@ def placed_from(
         np.tile(np.eye(3), (len(R), count, 1, 1)), np.zeros((len(R), count, 3)), np.full((len(R), count), np.nan)
     )
     state.R[:, root], state.t[:, root], state.misfit[:, root] = R, t, misfits(first, R, t)
-    state = _best(state, sketches)
-    for joint, known, other in _outwards(category, root):
-        piece, parent = sketches[other], sketches[known]
-        if piece is None or parent is None or np.isnan(state.misfit[0, known]):
-            continue
-        assert joint.geometry is not None
-        R, t = _moved(joint, joint.geometry, known, state, (parent, piece))
+    state = _best(state, sketches, _KEPT)
+    links: list[Link] = []
+    pivots: list[FloatArray] = []
+    for link in _to_seen(root, _outwards(category, root), sketches):
+        piece, parent = sketches[link.other], sketches[link.known]
+        geometry = link.joint.geometry
+        assert piece is not None
+        assert parent is not None
+        assert geometry is not None
+        R, t = _moved(link.joint, geometry, link.known, state, (parent, piece))
         tried = R.shape[1]
         state = state.take(np.repeat(np.arange(len(state)), tried))
-        state.R[:, other], state.t[:, other] = R.reshape(-1, 3, 3), t.reshape(-1, 3)
-        state.misfit[:, other] = misfits(piece, state.R[:, other], state.t[:, other])
-        state = _best(state, sketches)
-    return state
+        state.R[:, link.other], state.t[:, link.other] = R.reshape(-1, 3, 3), t.reshape(-1, 3)
+        state.misfit[:, link.other] = misfits(piece, state.R[:, link.other], state.t[:, link.other])
+        links.append(link)
+        pivot = geometry.pivot_parent if link.known == link.joint.parent else geometry.pivot_child
+        pivots.append(np.array(pivot) * parent.extents_m)
+        if piece.seen:
+            state = settled(_best(state, sketches, _KEPT), sketches, root, links, pivots)
+        else:
+            state = _best(state, sketches, _KEPT_UNSEEN)
+    return state.take(np.argsort(np.nansum(state.misfit, axis=1), kind="stable"))
 
 
-def _outwards(category: Category, root: int) -> list[tuple[Joint, int, int]]:
+def with_unseen(category: Category, pieces: Sequence[Piece | None]) -> list[Piece | None]:
+    """The pieces, and for parts without one that hang on others one without points, of the size that its joint gives
+    it; None for those without a surface."""
+    known = list(pieces)
+    joints = [joint for joint in category.joints if joint.kind != "free" and joint.geometry is not None]
+    for _ in joints:
+        for joint in joints:
+            for part, other, sign in ((joint.child, joint.parent, 1.0), (joint.parent, joint.child, -1.0)):
+                neighbour, spec = known[other], category.parts[part]
+                if known[part] is not None or neighbour is None or spec.template is None or joint.geometry is None:
+                    continue
+                if len(spec.template.points_unit):
+                    size_m = neighbour.diagonal_m * float(np.exp(sign * joint.geometry.log_size_ratio))
+                    keypoints = np.asarray(spec.keypoints_unit, np.float64)
+                    nothing = np.zeros((0, len(keypoints)))
+                    surface = spec.template.stretched(np.asarray(spec.extents_unit, np.float64))
+                    known[part] = Piece(np.zeros((0, 3)), nothing, keypoints, size_m, surface)
+    return known
+
+
+def _outwards(category: Category, root: int) -> list[Link]:
     """Joints of a known place, each with the part that is placed before it and the one it places."""
-    placed, order = {root}, []
+    placed = {root}
+    order: list[Link] = []
     joints = [joint for joint in category.joints if joint.kind != "free" and joint.geometry is not None]
     while True:
         ready = [joint for joint in joints if (joint.parent in placed) != (joint.child in placed)]
@@ -147,8 +103,24 @@ def _outwards(category: Category, root: int) -> list[tuple[Joint, int, int]]:
             return order
         joint = ready[0]
         known, other = (joint.parent, joint.child) if joint.parent in placed else (joint.child, joint.parent)
-        order.append((joint, known, other))
+        order.append(Link(joint, known, other))
         placed.add(other)
+
+
+def _to_seen(root: int, links: Sequence[Link], sketches: Sequence[Piece | None]) -> list[Link]:
+    """Those of the links outwards that lead to parts with points, through parts that can be placed."""
+    reached, passable = {root}, []
+    for link in links:
+        if link.known in reached and sketches[link.other] is not None:
+            reached.add(link.other)
+            passable.append(link)
+    wanted = {k for k in reached if (piece := sketches[k]) is not None and piece.seen}
+    leading: list[Link] = []
+    for link in reversed(passable):
+        if link.other in wanted:
+            wanted.add(link.known)
+            leading.append(link)
+    return leading[::-1]
 
 
 def _root_poses(category: Category, root: int, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -191,12 +163,12 @@ def _moved(
     return R_other, t + R[:, 0, None] @ at_child - (R_other @ (at_parent + slid)[..., None])[..., 0]
 
 
-def _best(state: Placements, sketches: Sequence[Piece | None]) -> Placements:
-    """The _KEPT best placements that differ, best first."""
+def _best(state: Placements, sketches: Sequence[Piece | None], most: int) -> Placements:
+    """The best placements that differ, best first, so many at most."""
     total = np.nansum(state.misfit, axis=1)
     left, chosen = np.argsort(total, kind="stable"), []
     sizes = np.array([1.0 if piece is None else piece.diagonal_m for piece in sketches])
-    while len(left) and len(chosen) < _KEPT:
+    while len(left) and len(chosen) < most:
         best = left[0]
         chosen.append(best)
         apart = np.linalg.norm(state.t[left] - state.t[best], axis=2) / sizes

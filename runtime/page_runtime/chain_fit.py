@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from page_runtime.category import Category
-from page_runtime.chain import Piece, Placements, misfits, placed_from
+from page_runtime.chain import placed_from, with_unseen
 from page_runtime.icp import SENSOR_SIGMA_M, normal_equations
 from page_runtime.joints import joint_residual, pair_columns
+from page_runtime.pieces import Piece, Placements, misfits
 from page_runtime.similarity import FloatArray, Similarities
 from page_runtime.surface_pairs import Placed, paired
 
@@ -55,12 +56,13 @@ def whole_pose(
 
     known: poses of parts by themselves; it begins with those of them that have the most points.
     """
+    bodies = with_unseen(category, pieces)
     roots = sorted((k for k in known if pieces[k] is not None), key=lambda k: -len(_piece(pieces, k).points))
-    placed = [placed_from(category, pieces, root, (known[root].R, known[root].t)) for root in roots[:_ROOTS]]
+    placed = [placed_from(category, bodies, root, (known[root].R, known[root].t)) for root in roots[:_ROOTS]]
     likely = sorted(placed, key=lambda one: _unexplained(one.misfit[0], pieces))[:_DRAWN]
-    drawn = [_drawn(category, pieces, placements) for placements in likely]
+    drawn = [_drawn(category, bodies, pieces, placements) for placements in likely]
     best = min(drawn, key=lambda one: one.unexplained, default=None)
-    return None if best is None else _fitted(category, pieces, best)
+    return None if best is None else _fitted(category, bodies, best)
 
 
 def _unexplained(misfit: FloatArray, pieces: Sequence[Piece | None]) -> float:
@@ -78,11 +80,13 @@ class _Drawn:
     unexplained: float
 
 
-def _drawn(category: Category, pieces: Sequence[Piece | None], placements: Placements) -> _Drawn:
+def _drawn(
+    category: Category, bodies: Sequence[Piece | None], pieces: Sequence[Piece | None], placements: Placements
+) -> _Drawn:
     """The best placement, moved near its points by a sketch of each part."""
     misfit = placements.misfit[0].copy()
     parts = tuple(np.flatnonzero(~np.isnan(misfit)).tolist())
-    sketches = [_piece(pieces, k).sketch() for k in parts]
+    sketches = [_piece(bodies, k).sketch() for k in parts]
     sizes = np.array([piece.diagonal_m for piece in sketches])
     start = Similarities(placements.R[0, parts], placements.t[0, parts], sizes)
     poses, _ = _moved(category, parts, sketches, start, _DRAWN_GATES)
@@ -90,22 +94,24 @@ def _drawn(category: Category, pieces: Sequence[Piece | None], placements: Place
     return _Drawn(parts, poses, _unexplained(misfit, pieces))
 
 
-def _fitted(category: Category, pieces: Sequence[Piece | None], drawn: _Drawn) -> WholePose:
-    """What was drawn near, moved onto all of its points."""
-    own = [_piece(pieces, k) for k in drawn.parts]
+def _fitted(category: Category, bodies: Sequence[Piece | None], drawn: _Drawn) -> WholePose:
+    """What was drawn near, moved onto all of its points; of the parts that have some."""
+    own = [_piece(bodies, k) for k in drawn.parts]
     poses, hessian = _moved(category, drawn.parts, own, drawn.poses, _FITTED_GATES)
     sizes = np.array([piece.diagonal_m for piece in own])
     # A part that nothing holds any more may be turned anyhow and be anywhere near.
     floor = np.ones((len(own), _SIZE))
     floor[:, :3], floor[:, 3:6] = np.pi**-2, sizes[:, None] ** -2
     inverse = np.asarray(np.linalg.inv(hessian + np.diag(floor.reshape(-1))), np.float64)
-    blocks = [slice(_SIZE * i, _SIZE * (i + 1)) for i in range(len(own))]
+    seen = [i for i, piece in enumerate(own) if piece.seen]
+    blocks = [slice(_SIZE * i, _SIZE * (i + 1)) for i in seen]
+    shown = poses.take(np.array(seen))
     return WholePose(
-        parts=drawn.parts,
-        poses=poses,
+        parts=tuple(drawn.parts[i] for i in seen),
+        poses=shown,
         covariances=np.array([inverse[block, block] for block in blocks]),
-        extents_unit=np.array([piece.surface.extents_unit for piece in own]),
-        misfit=_misfits([piece.sketch() for piece in own], poses),
+        extents_unit=np.array([own[i].surface.extents_unit for i in seen]),
+        misfit=_misfits([own[i].sketch() for i in seen], shown),
     )
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from page_runtime.articulation import CONTRADICTION, Articulation, PartEvidence
 from page_runtime.category import Category
-from page_runtime.chain import Piece, misfits
 from page_runtime.chain_fit import WholePose, whole_pose
+from page_runtime.pieces import Piece, misfits
 from page_runtime.registration import Observed
 from page_runtime.similarity import Similarities
 from page_runtime.template import Template
