@@ -14,7 +14,11 @@ from page_runtime.pieces import Placements, misfits
 from page_runtime.similarity import FloatArray, so3_exp
 from test_whole_object import DIAGONAL_M, KEYPOINTS, PIVOTS, TEMPLATE, chain_of, piece, posed, root_pose
 
-KINDS: tuple[tuple[JointKind, ...], ...] = (("revolute",) * 3, ("revolute", "prismatic"), ("prismatic", "revolute"))
+KINDS: tuple[tuple[JointKind, ...], ...] = (
+    ("revolute", "revolute", "revolute"),
+    ("revolute", "prismatic"),
+    ("prismatic", "revolute"),
+)
 MIDDLE = (0.9, -0.8, 1.1)
 OFF = (0.1, -0.1, 0.1)
 
