@@ -59,7 +59,11 @@ def workers_of(process: subprocess.Popen[str]) -> list[Path]:
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="reads /proc")
 def test_ctrl_c_ends_all_processes_at_once(tmp_path: Path) -> None:
     given = f"scenes box --frames 2048 --validation-frames 0 --processes 2 --cache {tmp_path}".split()
-    script = "import sys; from page_training.cli import main; sys.exit(main())"
+    # Where the tests themselves run in the background, Ctrl-C is ignored, and whoever they start inherits that.
+    script = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from page_training.cli import main; sys.exit(main())"
+    )
     making = subprocess.Popen(
         [sys.executable, "-c", script, *given], stderr=subprocess.PIPE, text=True, start_new_session=True
     )

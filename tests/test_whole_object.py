@@ -162,9 +162,10 @@ def test_a_part_that_its_points_do_not_hold_is_told_as_unknown() -> None:
 
 
 @pytest.mark.parametrize("unseen", [1, 2])
-def test_what_is_behind_a_part_without_points_is_placed_through_it(unseen: int) -> None:
+@pytest.mark.parametrize("states", [STATES, (-1.9, 0.4, -0.7), (1.6, -1.5, 0.2), (0.1, 1.2, 1.8)])
+def test_what_is_behind_a_part_without_points_is_placed_through_it(unseen: int, states: tuple[float, ...]) -> None:
     category = chain_of(("revolute",) * 3)
-    T = posed(category, STATES, root_pose(0))
+    T = posed(category, states, root_pose(0))
     pieces: list[Piece | None] = [piece(one) for one in T]
     pieces[unseen] = None
     whole = whole_pose(category, pieces, {0: similarity(T[0])})
@@ -172,6 +173,34 @@ def test_what_is_behind_a_part_without_points_is_placed_through_it(unseen: int) 
     assert whole.parts == tuple(k for k in range(4) if k != unseen)
     assert errors(whole, T)[0] < 4.0
     assert whole_pose(category, pieces, {}) is None
+
+
+def test_what_is_behind_two_parts_without_points_is_left_out() -> None:
+    category = chain_of(("revolute",) * 3)
+    T = posed(category, STATES, root_pose(0))
+    whole = whole_pose(category, [piece(T[0]), None, None, piece(T[3])], {0: similarity(T[0])})
+    assert whole is not None
+    assert whole.parts == (0,)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1), (1, 0, 2), (2, 1, 0)])
+def test_the_order_of_a_trees_joints_does_not_matter(order: tuple[int, ...]) -> None:
+    """Two branches, one of them begun by a part without points."""
+    category = chain_of(("revolute",) * 3)
+    T_0 = root_pose(0)
+    first = posed(category, (1.5, -0.6), T_0)
+    second = posed(replace(category, joints=category.joints[1:]), (0.3,), T_0)
+    T = [T_0, first[1], second[1], first[2]]
+    ends = ((0, 1, 0), (0, 2, 1), (1, 3, 1))
+    joints = [
+        replace(category.joints[0], name=f"j{k}", parent=parent, child=child, axis=AXES[axis])
+        for k, (parent, child, axis) in enumerate(ends)
+    ]
+    tree = replace(category, joints=tuple(joints[k] for k in order))
+    whole = whole_pose(tree, [piece(T[0]), None, piece(T[2]), piece(T[3])], {0: similarity(T[0])})
+    assert whole is not None
+    assert whole.parts == (0, 2, 3)
+    assert errors(whole, T)[0] < 4.0
 
 
 def test_what_is_behind_a_part_without_points_and_surface_is_left_out() -> None:

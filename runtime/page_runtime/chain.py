@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from page_runtime.category import Category, Joint, JointGeometry
 from page_runtime.chain_motion import Link, settled
@@ -48,7 +49,7 @@ def placed_from(
         np.tile(np.eye(3), (len(R), count, 1, 1)), np.zeros((len(R), count, 3)), np.full((len(R), count), np.nan)
     )
     state.R[:, root], state.t[:, root], state.misfit[:, root] = R, t, misfits(first, R, t)
-    state = _best(state, sketches, _KEPT)
+    state = _best(state, sketches)
     links: list[Link] = []
     pivots: list[FloatArray] = []
     for link in _to_seen(root, _outwards(category, root), sketches):
@@ -66,10 +67,10 @@ def placed_from(
         pivot = geometry.pivot_parent if link.known == link.joint.parent else geometry.pivot_child
         pivots.append(np.array(pivot) * parent.extents_m)
         if piece.seen:
-            state = settled(_best(state, sketches, _KEPT), sketches, root, links, pivots)
+            state = settled(_best(state, sketches), sketches, root, links, pivots)
         else:
-            state = _best(state, sketches, _KEPT_UNSEEN)
-    return state.take(np.argsort(np.nansum(state.misfit, axis=1), kind="stable"))
+            state = state.take(_in_order(state)[:_KEPT_UNSEEN])
+    return state.take(_in_order(state))
 
 
 def with_unseen(category: Category, pieces: Sequence[Piece | None]) -> list[Piece | None]:
@@ -108,19 +109,24 @@ def _outwards(category: Category, root: int) -> list[Link]:
 
 
 def _to_seen(root: int, links: Sequence[Link], sketches: Sequence[Piece | None]) -> list[Link]:
-    """Those of the links outwards that lead to parts with points, through parts that can be placed."""
+    """Those of the links outwards that lead to parts with points, through single parts without; what is beyond one of
+    these follows it at once, before its states are forgotten."""
+    seen = {k for k, piece in enumerate(sketches) if piece is not None and piece.seen}
     reached, passable = {root}, []
     for link in links:
-        if link.known in reached and sketches[link.other] is not None:
+        # Of two parts without points in a row nothing tells the states.
+        if link.known in reached and sketches[link.other] is not None and {link.known, link.other} & seen:
             reached.add(link.other)
             passable.append(link)
-    wanted = {k for k in reached if (piece := sketches[k]) is not None and piece.seen}
-    leading: list[Link] = []
-    for link in reversed(passable):
-        if link.other in wanted:
-            wanted.add(link.known)
-            leading.append(link)
-    return leading[::-1]
+    leading = [link for link in passable if link.other in seen or any(one.known == link.other for one in passable)]
+    placed, order = {root}, []
+    while leading:
+        ready = [link for link in leading if link.known in placed]
+        link = min(ready, key=lambda one: (one.known in seen, one.other not in seen))
+        order.append(link)
+        leading.remove(link)
+        placed.add(link.other)
+    return order
 
 
 def _root_poses(category: Category, root: int, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -163,12 +169,16 @@ def _moved(
     return R_other, t + R[:, 0, None] @ at_child - (R_other @ (at_parent + slid)[..., None])[..., 0]
 
 
-def _best(state: Placements, sketches: Sequence[Piece | None], most: int) -> Placements:
-    """The best placements that differ, best first, so many at most."""
-    total = np.nansum(state.misfit, axis=1)
-    left, chosen = np.argsort(total, kind="stable"), []
+def _in_order(state: Placements) -> NDArray[np.intp]:
+    """The placements, best first."""
+    return np.argsort(np.nansum(state.misfit, axis=1), kind="stable")
+
+
+def _best(state: Placements, sketches: Sequence[Piece | None]) -> Placements:
+    """The _KEPT best placements that differ, best first."""
+    left, chosen = _in_order(state), []
     sizes = np.array([1.0 if piece is None else piece.diagonal_m for piece in sketches])
-    while len(left) and len(chosen) < most:
+    while len(left) and len(chosen) < _KEPT:
         best = left[0]
         chosen.append(best)
         apart = np.linalg.norm(state.t[left] - state.t[best], axis=2) / sizes

@@ -51,10 +51,10 @@ class WholePose:
 def whole_pose(
     category: Category, pieces: Sequence[Piece | None], known: Mapping[int, Similarities]
 ) -> WholePose | None:
-    """The pose of all parts with points that joints of a known place tie together, of the largest group of such parts
-    where there are several; None where no part has a pose.
+    """The pose of all parts with points that joints of a known place tie together, of the group of such parts that
+    explains most where there are several; None where no part has a pose.
 
-    known: poses of parts by themselves; it begins with those of them that have the most points.
+    known: poses of parts by themselves; it begins with the _ROOTS of them that have the most points.
     """
     bodies = with_unseen(category, pieces)
     roots = sorted((k for k in known if pieces[k] is not None), key=lambda k: -len(_piece(pieces, k).points))

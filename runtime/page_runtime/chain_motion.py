@@ -1,4 +1,4 @@
-"""Placements of parts that joints tie together, moved onto their points without leaving the joints.
+"""Placements of parts that joints tie together, moved onto their points without leaving the joints' axes and places.
 
 States of joints are tried in steps, and what is left of each step turns all parts beyond it: after three joints a part
 can be so far off that no state of its own fits. So the few placements that go on are moved in between, by Gauss-Newton
