@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from chain_objects import DIAGONAL_M, KEYPOINTS, PIVOTS, TEMPLATE, chain_of, piece, posed, root_pose
 from page_runtime.category import Category, JointKind
 from page_runtime.chain_motion import Link, settled
 from page_runtime.geometry import rotation_angle, transform_from
 from page_runtime.pieces import Placements, misfits
 from page_runtime.similarity import FloatArray, so3_exp
-from test_whole_object import DIAGONAL_M, KEYPOINTS, PIVOTS, TEMPLATE, chain_of, piece, posed, root_pose
 
 KINDS: tuple[tuple[JointKind, ...], ...] = (
     ("revolute", "revolute", "revolute"),
